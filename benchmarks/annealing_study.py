@@ -1,18 +1,18 @@
-"""Does our annealing find the deepest basin, and how often beside others? Standard functions with many minima.
+"""Success rates of the annealing and of other global searches on standard functions with many minima.
 
     python benchmarks/annealing_study.py                    20 seeds, 10,000 evaluations a run
     python benchmarks/annealing_study.py --seeds 50 --evaluations 20000 --json study.json
-    python benchmarks/annealing_study.py --variants         our annealing with one setting changed at a time
+    python benchmarks/annealing_study.py --variants         the annealing with one setting changed at a time
 
-Every method gets the same number of evaluations. A run has succeeded if L-BFGS-B, started where it ended, comes within
-1e-3 of the least value: pianofit, too, lets a gradient finish what a search found. The number in brackets is without
-that help. The minimum's place, and the axes of what is rotated, are drawn anew for each seed and are the same for all
-methods. The last four functions had no say when the defaults were chosen.
+Every method has the same number of evaluations. A run succeeds if L-BFGS-B from its end comes within 1e-3 of the least
+value, because pianofit also runs a descent after a search. The number in brackets is without L-BFGS-B. The position of
+the minimum and the axes of rotated functions depend on the seed and are the same for all methods. The last four
+functions were not used to choose the defaults.
 
 - ASA: `pianofit.bensa2005.annealing`, 1 chain or 16
-- DA: SciPy's `dual_annealing` (generalised annealing), as it is, and without its local search
-- CMA-ES: the package `cma`, restarted with twice the population whenever it stops (IPOP). It is no dependency; where it
-  is missing its column is left out
+- DA: SciPy's `dual_annealing` (generalised annealing), with default settings, and without its local search
+- CMA-ES: the package `cma`, restarted with twice the population whenever it stops (IPOP). It is not a dependency: if
+  it is missing, its column is left out
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COLUMNS = {"asa1": "ASA, 1 chain", "asa16": "ASA, 16 chains", "da_plain": "DA, n
 
 
 class Problem(NamedTuple):
-    """A function of points [..., D] in a cubic box, and its least value there."""
+    """A function of points [..., D] in a cubic box, and its least value in the box."""
 
     name: str
     function: Callable[[np.ndarray], np.ndarray]
@@ -49,11 +49,11 @@ class Problem(NamedTuple):
     low: float
     high: float
     least: float = 0.0
-    shifted: float = 0.0  # by how much of half the box, at most, the minimum is moved
+    shifted: float = 0.0  # largest shift of the minimum, half-widths of the box
     rotated: bool = False
 
     def drawn(self, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        """The function with the minimum's place and the axes of this seed."""
+        """Return the function with the position of the minimum and the axes of this seed."""
         rng = np.random.default_rng((seed, 1989))
         shift = rng.uniform(-self.shifted, self.shifted, self.dimensions) * (self.high - self.low) / 2
         axes = np.linalg.qr(rng.normal(size=(self.dimensions, self.dimensions)))[0] if self.rotated else None
@@ -102,7 +102,7 @@ def shekel(z):  # noqa: D103
 
 
 def corana(z):
-    """Ingber's own test of ASA: Corana et al., ACM Trans. Math. Softw. 13 (1987) 262; some 1e20 flat-bottomed holes."""
+    """Ingber's own test of ASA: Corana et al., ACM Trans. Math. Softw. 13 (1987) 262; some 1e20 flat minima."""
     scale = np.array([1.0, 1000.0, 10.0, 100.0])
     lattice = np.floor(np.abs(z / 0.2) + 0.49999) * 0.2 * np.sign(z)
     hole = 0.15 * (lattice - 0.05 * np.sign(lattice)) ** 2 * scale
@@ -145,7 +145,7 @@ TUNED_ON = (
 )
 HELD_OUT = (
     Problem("Styblinski–Tang", styblinski_tang, 5, -8.0, 8.0, least=-5 * 39.16616570377142, shifted=0.1),
-    Problem("the same, rotated", styblinski_tang, 5, -8.0, 8.0, least=-5 * 39.16616570377142, rotated=True),
+    Problem("Styblinski–Tang, rotated", styblinski_tang, 5, -8.0, 8.0, least=-5 * 39.16616570377142, rotated=True),
     Problem("Hartmann 6", hartmann, 6, 0.0, 1.0, least=-3.322368011415515),
     Problem("Michalewicz", michalewicz, 5, 0.0, np.pi, least=-4.687658179088),
 )
@@ -159,14 +159,14 @@ class _Spent(Exception):  # noqa: N818
 
 
 class Counted:
-    """A function that keeps its lowest point, and stops whoever asks for more than was granted."""
+    """A function that keeps its lowest point and raises `_Spent` after its number of evaluations."""
 
     def __init__(self, function: Callable, evaluations: int) -> None:
         self.function, self.left = function, evaluations
         self.z, self.cost = np.empty(0), np.inf
 
     def batch(self, z: np.ndarray) -> np.ndarray:
-        """Values [n] at points [n, D]."""
+        """Return values [n] at points [n, D]."""
         if self.left < len(z):
             raise _Spent
         self.left -= len(z)
@@ -177,24 +177,24 @@ class Counted:
         return cost
 
     def __call__(self, z: np.ndarray) -> float:
-        """The value at one point [D]."""
+        """Return the value at one point [D]."""
         return float(self.batch(np.asarray(z)[None])[0])
 
 
 def by_asa(problem: Problem, counted: Counted, seed: int, chains: int = 1, schedule: Schedule | None = None) -> None:
-    """Our annealing."""
+    """Run pianofit's annealing."""
     low, high = np.full(problem.dimensions, problem.low), np.full(problem.dimensions, problem.high)
     anneal(counted.batch, low, high, chains=chains, evaluations=counted.left, seed=seed, schedule=schedule)
 
 
 def by_dual_annealing(problem: Problem, counted: Counted, seed: int, local: bool = True) -> None:
-    """SciPy's annealing; with `local` as it comes."""
+    """Run SciPy's annealing, with its local search if `local`."""
     box = [(problem.low, problem.high)] * problem.dimensions
     dual_annealing(counted, box, maxiter=10**6, maxfun=10**9, no_local_search=not local, rng=seed)
 
 
 def by_cma(problem: Problem, counted: Counted, seed: int) -> None:
-    """CMA-ES from random points, first step 0.25 of the box, restarted with twice the population."""
+    """Run CMA-ES from random points, first step 0.25 of the box, restarted with twice the population."""
     import cma
 
     rng, population = np.random.default_rng(seed), 4 + int(3 * np.log(problem.dimensions))
@@ -203,8 +203,8 @@ def by_cma(problem: Problem, counted: Counted, seed: int) -> None:
         first = rng.uniform(problem.low, problem.high, problem.dimensions)
         es = cma.CMAEvolutionStrategy(first, 0.25 * (problem.high - problem.low), {**options, "popsize": population})
         while not es.stop():
-            asked = es.ask()
-            es.tell(asked, [float(x) for x in counted.batch(np.array(asked))])
+            points = es.ask()
+            es.tell(points, [float(x) for x in counted.batch(np.array(points))])
         population *= 2
 
 
@@ -218,21 +218,21 @@ METHODS: dict[str, Callable] = {
 }
 VARIANTS = {
     "as it is": {},
-    "no sensitivities": {"stretch": 0.0},
-    "exponent 1": {"stretch": 1.0},
+    "no sensitivities": {"exponent": 0.0},
+    "exponent 1": {"exponent": 1.0},
     "no re-annealing": {"reanneal": 0},
     "end 1e-5": {"end": 1e-5},
     "end 1e-9": {"end": 1e-9},
     "acceptance to 1e-5": {"cost_end": 1e-5},
     "acceptance to 1e-15": {"cost_end": 1e-15},
-    "no meetings": {"meetings": 0.0},
-    "20 meetings": {"meetings": 20.0},
-    "320 meetings": {"meetings": 320.0},
+    "no exchanges": {"exchanges": 0.0},
+    "20 exchanges": {"exchanges": 20.0},
+    "320 exchanges": {"exchanges": 320.0},
 }
 
 
 def run(name: str, method: str, seed: int, evaluations: int, change: dict | None = None) -> tuple[bool, bool, float]:
-    """Whether the run ended in the deepest basin, whether it ended near its bottom, and its cost above the least."""
+    """Return two flags (ended in the deepest basin, ended near its minimum) and the cost above the least value."""
     warnings.simplefilter("ignore")
     problem = PROBLEMS[name]
     function = problem.drawn(seed)
@@ -246,27 +246,27 @@ def run(name: str, method: str, seed: int, evaluations: int, change: dict | None
 
 
 def rates(pool: ProcessPoolExecutor, method: str, seeds: int, evaluations: int, change: dict | None = None) -> dict:
-    """Runs with one method: for every problem the shares in the basin and near its bottom, and all costs, [seeds]."""
+    """Run one method: for every problem the shares in the basin and near its minimum, and all costs, [seeds]."""
     names = [name for name in PROBLEMS for _ in range(seeds)]
-    each = [seed for _ in PROBLEMS for seed in range(seeds)]
-    one = partial(run, evaluations=evaluations, change=change)
+    all_seeds = [seed for _ in PROBLEMS for seed in range(seeds)]
+    single = partial(run, evaluations=evaluations, change=change)
     begun = time.perf_counter()
-    done = list(pool.map(one, names, [method] * len(names), each, chunksize=4))
-    found = {}
+    runs = list(pool.map(single, names, [method] * len(names), all_seeds, chunksize=4))
+    results = {}
     for i, name in enumerate(PROBLEMS):
-        basin, near, above = zip(*done[i * seeds : (i + 1) * seeds], strict=True)
-        found[name] = {"basin": sum(basin) / seeds, "near": sum(near) / seeds, "above": above}
+        basin, near, above = zip(*runs[i * seeds : (i + 1) * seeds], strict=True)
+        results[name] = {"basin": sum(basin) / seeds, "near": sum(near) / seeds, "above": above}
     print(f"{method}: {time.perf_counter() - begun:.0f} s", file=sys.stderr)
-    return found
+    return results
 
 
 def table(columns: dict[str, dict]) -> str:
-    """Return the shares in per cent as Markdown: in the basin, and in brackets near its bottom without help."""
+    """Return the shares in per cent as Markdown: in the basin, and in brackets near its minimum without L-BFGS-B."""
     lines = ["| | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
     groups = {"mean": TUNED_ON, "mean, held out": HELD_OUT}
     for label, group in groups.items():
-        lines += [_row(p.name, [[found[p.name]] for found in columns.values()]) for p in group]
-        lines.append(_row(f"**{label}**", [[found[p.name] for p in group] for found in columns.values()]))
+        lines += [_row(p.name, [[results[p.name]] for results in columns.values()]) for p in group]
+        lines.append(_row(f"**{label}**", [[results[p.name] for p in group] for results in columns.values()]))
     return "\n".join(lines)
 
 
@@ -279,30 +279,31 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description="success rates of global searches on standard functions")
     parser.add_argument("--seeds", type=int, default=20, help="runs per function and method (20)")
-    parser.add_argument("--evaluations", type=int, default=10_000, help="of a run (10,000)")
+    parser.add_argument("--evaluations", type=int, default=10_000, help="evaluations per run (10,000)")
     parser.add_argument("--methods", nargs="+", default=list(COLUMNS), choices=COLUMNS, help="only these columns")
-    parser.add_argument("--chains", type=int, default=16, help="of the variants (16)")
-    parser.add_argument("--variants", action="store_true", help="our annealing with one setting changed at a time")
-    parser.add_argument("--json", type=Path, help="write everything, run by run, to this file")
-    asked = parser.parse_args()
-    methods = {name: COLUMNS[name] for name in asked.methods}
-    if "cma" in methods and find_spec("cma") is None and not asked.variants:
+    parser.add_argument("--chains", type=int, default=16, help="chains of the variants (16)")
+    parser.add_argument("--variants", action="store_true", help="the annealing with one setting changed at a time")
+    parser.add_argument("--json", type=Path, help="write the results of every run to this file")
+    arguments = parser.parse_args()
+    methods = {name: COLUMNS[name] for name in arguments.methods}
+    if "cma" in methods and find_spec("cma") is None and not arguments.variants:
         print("the package cma is not installed: its column is left out (pip install cma)", file=sys.stderr)
         methods.pop("cma", None)
     columns = {}
     with ProcessPoolExecutor() as pool:
-        if asked.variants:
+        if arguments.variants:
             for label, change in VARIANTS.items():
-                change = {"chains": asked.chains, "schedule": Schedule(**change)}
-                columns[label] = rates(pool, "asa", asked.seeds, asked.evaluations, change)
+                change = {"chains": arguments.chains, "schedule": Schedule(**change)}
+                columns[label] = rates(pool, "asa", arguments.seeds, arguments.evaluations, change)
         else:
             for method, label in methods.items():
-                columns[label] = rates(pool, method, asked.seeds, asked.evaluations)
-    print(f"Per cent of {asked.seeds} runs of {asked.evaluations} evaluations: in the deepest basin (at its bottom)\n")
+                columns[label] = rates(pool, method, arguments.seeds, arguments.evaluations)
+    runs = f"{arguments.seeds} runs of {arguments.evaluations} evaluations"
+    print(f"Per cent of {runs}: in the deepest basin (at its minimum)\n")
     print(table(columns))
-    if asked.json:
-        settings = {"seeds": asked.seeds, "evaluations": asked.evaluations, "schedule": asdict(Schedule())}
-        asked.json.write_text(json.dumps({**settings, "found": columns}, indent=1), encoding="utf-8")
+    if arguments.json:
+        settings = {"seeds": arguments.seeds, "evaluations": arguments.evaluations, "schedule": asdict(Schedule())}
+        arguments.json.write_text(json.dumps({**settings, "found": columns}, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,16 @@
-"""The paper's own algorithm, compiled and done well: what the table measures everything against.
+"""An optimised, compiled implementation of the paper's own algorithm: the baseline of the performance table.
 
-Eq. 16-18 as they stand: N grid points, Crank-Nicolson, the full duration, one step a sample. Done well means
+It solves eq. 16-18 with N grid points, Crank-Nicolson, the full duration and one step per sample. Optimisations:
 
-- string and hammer are coupled by one number: the string's velocities without the hammer come from one solve with a
-  matrix that never changes, the force moves them along one fixed vector, and Newton-Raphson is left with one unknown;
-- that matrix is pentadiagonal and factored once, before the first step; a step is the difference stencil, which
-  vectorises, the two sweeps of the solve without a division, and the update;
-- it is compiled for this machine (numba, which only the benchmarks need); products and sums may be contracted, which
-  shortens the solve's chain of operations.
+- String and hammer are coupled by one number. The string's velocities without the hammer come from one solve with a
+  constant matrix, the force changes them along one fixed vector, and Newton-Raphson has one unknown.
+- That matrix is pentadiagonal and factored once. A step consists of the difference stencil, which vectorises, the two
+  sweeps of the solve without division, and the update.
+- It is compiled for this machine (numba, which only the benchmarks need). Products and sums may be contracted, which
+  shortens the dependency chain of the solve.
 
-`python benchmarks/baseline.py` compares it with `pianofit.bensa2005.finite_difference`, which shares no line with it, and times it.
+`python benchmarks/baseline.py` compares it with `pianofit.bensa2005.finite_difference`, which shares no code with it,
+and times it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# numba looks for a package named coverage, and must not find the study of that name beside this file.
+# numba imports a package named coverage and must not find benchmarks/coverage.py.
 _path = list(sys.path)
 sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != Path(__file__).resolve().parent]
 import numba  # noqa: E402
@@ -44,12 +45,12 @@ class Baseline(NamedTuple):
     window: np.ndarray  # h ĝ [points]
     first: int  # points from here
     last: int  # to here, exclusive, lie under the hammer
-    answer: np.ndarray  # what a unit of a(F + F_old) does to the velocities [points]
+    answer: np.ndarray  # response of the velocities to a unit of a(F + F_old) [points]
     pickup: np.ndarray  # [2]: point below the pickup and the weight of the next one
 
 
 def prepared(string: Any, geometry: Any, rate: float, points: int = 100) -> Baseline:
-    """Factor the scheme; `string` and `geometry` as in `pianofit.parameters`."""
+    """Factor the scheme. `string` and `geometry` are those of `pianofit.parameters`."""
     a, h = 0.5 / rate, geometry.length / (points + 1)
     c2, k2 = string.c**2 / h**2, string.kappa**2 / h**4
     stiff = np.array([2 * c2 + 6 * k2, -c2 - 4 * k2, k2])
@@ -64,7 +65,7 @@ def prepared(string: Any, geometry: Any, rate: float, points: int = 100) -> Base
         d[i] = bands[0, i] - (one**2 * d[i - 1] if i > 0 else 0.0) - (two**2 * d[i - 2] if i > 1 else 0.0)
         l1[i], l2[i] = one, two
     factor[:, 0], factor[:, 1], factor[:, 2] = 1 / d, l1, l2
-    x = h * np.arange(1, points + 1) - geometry.strike
+    x = h * np.arange(1, points + 1) - geometry.strike_position
     window = np.where(np.abs(x) < geometry.width / 2, 1 + np.cos(2 * np.pi * x / geometry.width), 0.0)
     window /= window.sum()
     struck = np.flatnonzero(window)
@@ -80,7 +81,7 @@ def prepared(string: Any, geometry: Any, rate: float, points: int = 100) -> Base
 
 
 def simulate(scheme: Baseline, hammer: Any, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity at the pickup [samples], m/s, and force [samples], N."""
+    """Return the velocity at the pickup [samples], m/s, and the force [samples], N."""
     return _march(
         scheme.half_step, scheme.factor, scheme.stencil, scheme.window, scheme.first, scheme.last, scheme.answer,
         scheme.pickup, np.array([float(x) for x in hammer]), samples,
@@ -89,7 +90,7 @@ def simulate(scheme: Baseline, hammer: Any, samples: int) -> tuple[np.ndarray, n
 
 @numba.njit(cache=True, fastmath={"contract"})
 def _solve(factor, x):
-    """L D Lᵀ x = x, in place."""
+    """Solve L D Lᵀ x = b in place; `x` holds b at first."""
     points = len(x)
     one = two = 0.0
     for i in range(points):
@@ -166,7 +167,7 @@ def _march(a, factor, stencil, window, first, last, answer, pickup, hammer, samp
 
 @numba.njit(cache=True, error_model="numpy")
 def _press(upper, u_old, w_old, give, a, K_H, mu, p):
-    """The root u of u + give F(u) = upper by Newton-Raphson, in the bracket [0, upper]."""
+    """Return the root u of u + give F(u) = upper by Newton-Raphson, in the bracket [0, upper]."""
     u = min(max(u_old + 2 * a * w_old, 0.0), upper)
     for _ in range(MOST_ITERATIONS):
         loss = 1 + mu * ((u - u_old) / a - w_old)
@@ -183,9 +184,9 @@ def _press(upper, u_old, w_old, give, a, K_H, mu, p):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def contacts(g, a, hammers):
-    """Forces [hammers, steps] of many `hammers` [hammers, 5] one by one: the fast path's recursion, scalar.
+    """Return the forces [hammers, steps] of `hammers` [hammers, 5] by the scalar recursion of the modal model.
 
-    Σ g_(n-m) T_m over all past forces, then one equation; g [steps], m/N, is the kernel.
+    Each step sums Σ g_(n-m) T_m over all past forces and solves one equation; g [steps], m/N, is the kernel.
     """
     steps = len(g)
     turned = g[::-1].copy()
@@ -213,40 +214,40 @@ def contacts(g, a, hammers):
 
 
 def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> float:
-    """The largest difference from `pianofit.bensa2005.finite_difference`, of full scale; more than `TOLERANCE` is an error.
+    """Return the largest difference from `pianofit.bensa2005.finite_difference`, relative to full scale.
 
     Raises
     ------
     ValueError
-        If the two differ.
+        If the difference exceeds `TOLERANCE`.
     """
     import pianofit
     from pianofit.bensa2005.finite_difference import solve
 
-    it = pianofit.preset("bensa-final")
-    # Between points the reference reads the sines through all of them, which costs time and is none of the scheme.
-    geometry = it.geometry._replace(pickup=it.geometry.length * 30 / (points + 1))
-    signal, force = simulate(prepared(it.string, geometry, rate, points), it.hammer, samples)
-    witness = solve(it.string, it.hammer, geometry, step=1 / rate, steps=samples, points=points).signals
-    pairs = ((signal, witness.velocity), (force, witness.force))
+    preset = pianofit.preset("bensa-final")
+    # The pickup lies on a grid point, because the reference interpolates differently between points.
+    geometry = preset.geometry._replace(pickup=preset.geometry.length * 30 / (points + 1))
+    signal, force = simulate(prepared(preset.string, geometry, rate, points), preset.hammer, samples)
+    reference = solve(preset.string, preset.hammer, geometry, step=1 / rate, steps=samples, points=points).signals
+    pairs = ((signal, reference.velocity), (force, reference.force))
     worst = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in pairs)
     if not worst <= TOLERANCE:
-        raise ValueError(f"the baseline is {worst:.1e} of full scale off the reference, more than {TOLERANCE}")
+        raise ValueError(f"the baseline differs from the reference by {worst:.1e} of full scale, above {TOLERANCE}")
     return worst
 
 
 def main() -> None:
-    """Compare and time."""
+    """Compare and time the baseline."""
     import pianofit
 
-    print(f"off pianofit.bensa2005.finite_difference by {check():.1e} of full scale")
-    it, taken = pianofit.preset("bensa-final"), []
-    scheme = prepared(it.string, it.geometry, 44_100.0)
+    print(f"difference from pianofit.bensa2005.finite_difference: {check():.1e} of full scale")
+    preset, times = pianofit.preset("bensa-final"), []
+    scheme = prepared(preset.string, preset.geometry, 44_100.0)
     for _ in range(15):
         start = time.perf_counter()
-        simulate(scheme, it.hammer, 44_100)
-        taken.append(time.perf_counter() - start)
-    print(f"{1e3 * min(taken):.1f} ms a second of signal at best, {1e6 * min(taken) / 44_100:.3f} us a step")
+        simulate(scheme, preset.hammer, 44_100)
+        times.append(time.perf_counter() - start)
+    print(f"{1e3 * min(times):.1f} ms per second of signal at best, {1e6 * min(times) / 44_100:.3f} us per step")
 
 
 if __name__ == "__main__":

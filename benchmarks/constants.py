@@ -1,12 +1,13 @@
-"""What predictions and twins become with each telling constant at half and at twice its value.
+"""Sensitivity of predictions and of fits of synthetic recordings to each constant, at half and at twice its value.
 
     python benchmarks/constants.py                               all constants, on the panel
     python benchmarks/constants.py --names '`STUDENT`;`ONSET`' --page docs/fitting.md
 
-The panel: the layers `LAYERS`, each predicted from the others of its note, where the recordings are there (see
-`crossval.py`), and the model twins `TWINS` of `coverage_twins.py`. Shown are the median error of the predictions, dB,
-and the rms of the twins' misses in standard errors. A constant that moves neither may be wrong by a factor and nobody
-would notice; one that moves them has its reason beside it in `inference/` or `analysis/`.
+The panel has two parts. The layers `LAYERS` are predicted from the other layers of their notes, if the recordings exist
+(see `crossval.py`). The synthetic recordings `SEEDS` of the kind `model` (`coverage_twins.py`) are fitted. The table
+shows the median error of the predictions, dB, and the rms error of the fits, in standard errors. A constant that
+changes neither number may be wrong by a factor without effect. A constant that changes them has its reason at its
+definition in `inference/` or `analysis/`.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ import numpy as np
 from pianofit.felt import DEFAULT_LAW
 
 LAYERS = {"cp80-Fs2": ("MP", "F"), "headroom-C4-close": ("L2", "L3", "L4")}
-TWINS = (4, 5, 9)
+SEEDS = (4, 5, 9)
 
 
 class _Felt:
-    """The priors' spreads of the felt's parameters, as one attribute."""
+    """Prior standard deviations of all felt parameters, as one attribute."""
 
     @property
     def spread(self) -> dict[str, float]:
@@ -43,7 +44,7 @@ class _Felt:
 
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
-    """By the first cell of its row in docs/fitting.md: the module, the attribute, and how its value is scaled."""
+    """Return module, attribute and scaling function by the first cell of the row in docs/fitting.md."""
     from pianofit.analysis import baseband_fit, inharmonicity, partials
     from pianofit.inference import (
         marginal_curvature,
@@ -136,7 +137,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
 
 def panel() -> tuple[float, float]:
-    """Median error of predictions, dB, and rms miss of twins, standard errors; NaN where there is nothing."""
+    """Return the median error of predictions, dB, and the rms error of fits, standard errors; NaN if not available."""
     import coverage
     import crossval
 
@@ -147,7 +148,7 @@ def panel() -> tuple[float, float]:
                 errors += predicted(*note, LAYERS.get(key, ()))
     misses = [
         row["miss"]
-        for seed in TWINS
+        for seed in SEEDS
         for row in coverage.judge(("model", seed, 0.0)).get("rows", [])
         if row["miss"] is not None and row["status"] in ("fitted", "scaled")
     ]
@@ -156,7 +157,7 @@ def panel() -> tuple[float, float]:
 
 
 def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...]) -> list[float]:
-    """Errors, dB, of the layers whose files' names hold one of `layers`, each predicted from all others."""
+    """Return errors, dB, of the layers whose file names contain one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
     from pianofit.fit_file import gains_of
     from pianofit.inference import run_inference
@@ -172,14 +173,14 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
             continue
         rest = [j for j in range(len(files)) if j != i]
         fit = build_result(run_inference([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
-        notes = [(share, each[0]) for share, each in zip(fit.weights, fit.minima_notes, strict=True)]
+        notes = [(weight, parts[0]) for weight, parts in zip(fit.weights, fit.minima_notes, strict=True)]
         errors.append(predict_recording(notes, analyses[i], gains=gains_of(fit.document, 0)).error_db)
     return errors
 
 
 def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
-    """The panel with one constant times a factor; as it is if the factor is 1."""
-    import coverage_twins  # noqa: F401 - its twins are drawn by the priors as they are
+    """Return the panel with one constant times a factor; unchanged if the factor is 1."""
+    import coverage_twins  # noqa: F401 - it must read the unchanged priors
 
     from pianofit.model.program_cache import enable_program_cache
 
@@ -197,35 +198,35 @@ def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print the table, and put it into a page."""
+    """Print the table, and write it to a page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--names", default="", help="separated by semicolons; all if not given")
+    parser.add_argument("--names", default="", help="names of constants, separated by semicolons; all if empty")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--page", type=Path, help="fill the last columns of this page's table")
     options = parser.parse_args()
-    known = constants()
-    wanted = [n for n in options.names.split(";") if n] or list(known)
-    if unknown := set(wanted) - set(known):
-        sys.exit(f"--names: {', '.join(sorted(unknown))} is none of {', '.join(known)}")
+    available = constants()
+    wanted = [n for n in options.names.split(";") if n] or list(available)
+    if unknown := set(wanted) - set(available):
+        sys.exit(f"--names: {', '.join(sorted(unknown))} not available; use {', '.join(available)}")
     jobs = [("", 1.0), *((name, factor) for name in wanted for factor in (0.5, 2.0))]
     with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        found = pool.map(scaled_panel, jobs)
-        usual = cell(next(found))
-        print(f"{'median error, dB; rms miss of twins, standard errors':32}\nas it is: {usual}", flush=True)
+        results = pool.map(scaled_panel, jobs)
+        usual = cell(next(results))
+        print(f"{'median error, dB; rms error of fits, standard errors':32}\nunchanged: {usual}", flush=True)
         for name in wanted:
-            half, twice = cell(next(found)), cell(next(found))
+            half, twice = cell(next(results)), cell(next(results))
             print(f"{name:28} half: {half:12} twice: {twice}", flush=True)
             if options.page:
                 fill(options.page, usual, name, (half, twice))
 
 
-def cell(found: tuple[float, float]) -> str:
-    """A panel's two numbers."""
-    return f"{found[0]:.2f}; {found[1]:.2f}"
+def cell(panel: tuple[float, float]) -> str:
+    """Format the two numbers of a panel."""
+    return f"{panel[0]:.2f}; {panel[1]:.2f}"
 
 
 def fill(page: Path, usual: str, name: str, row: tuple[str, str]) -> None:
-    """Put what was found into the last two cells of this constant's row, and what is usual below."""
+    """Write the last two cells of the row of this constant, and the unchanged panel below the table."""
     lines, filled = page.read_text(encoding="utf-8").splitlines(), False
     for i, line in enumerate(lines):
         cells = [part.strip() for part in line.strip("|").split("|")]
@@ -234,7 +235,7 @@ def fill(page: Path, usual: str, name: str, row: tuple[str, str]) -> None:
         if line.startswith("As it is: "):
             lines[i] = f"As it is: {usual} (`python benchmarks/constants.py --page docs/fitting.md`)."
     if not filled:
-        sys.exit(f"{page}: no row for {name}; write one in the table of constants")
+        sys.exit(f"{page}: no row for {name}; add one to the table of constants")
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -1,21 +1,21 @@
-"""Which way to measure partials? Three ways, on synthetic notes whose partials are known.
+"""Compare three methods to measure partials, on synthetic recordings.
 
     python benchmarks/partials_study.py [--notes N]
     python benchmarks/partials_study.py --errors [--notes N]
 
-- pencil: ESPRIT (a matrix pencil) on each partial's baseband, one component, nothing else
+- pencil: ESPRIT (a matrix pencil) on the baseband of each partial, with one component
 - peak: a damped peak, A²/((ω − ω_k)² + (α + σ)²), fitted by least squares to the power spectrum on the damped circle σ
-- pianofit: `analyse`, that is least squares on the basebands with the neighbours subtracted, ESPRIT where partials beat
+- pianofit: `analyse`: least squares on the basebands with the neighbours subtracted, and ESPRIT for beating partials
 
-Notes from A0 to A6, partials up to 40 dB apart from their neighbours. Errors are medians and 95 % quantiles over all
-partials found; `found` is their share. Beating partials have a second component 0.3 to 4 Hz away, up to 12 dB weaker;
-their frequency is compared with the stronger one's, their level with the whole sum's. The peak and the pencil are told
-f0 and B and where to look; `analyse` is told the note only.
+The notes lie from A0 to A6, with level differences of up to 40 dB between partials. Errors are medians and 95 %
+quantiles over all detected partials; `found` is the share of these. Beating partials have a second component 0.3 to
+4 Hz away, up to 12 dB weaker. Their frequency is compared with that of the stronger component, their level with that of
+the sum. The peak and the pencil have the true frequencies as input; `analyse` has only the note.
 
-With `--errors` the standard errors are judged instead: single exponentials from A0 to C6, 3 s, decay rates from 0.5 to
-20 1/s, in white noise 40 and 70 dB below the rms of the first second. `z` is the rms of (estimate - truth) over
-standard error, by the partials' signal-to-noise ratio, and should be 1; `systematic` is the median standard deviation
-of the systematic error over the standard error, and should be 0.
+With `--errors` the study tests the standard errors. The notes are single exponentials from A0 to C6, 3 s, with decay
+rates from 0.5 to 20 1/s, in white noise 40 and 70 dB below the rms of the first second. `z` is the rms of
+(estimate - true value) over standard error, by the signal-to-noise ratio of the partials, and should be 1. `systematic`
+is the median ratio of the systematic to the standard error, and should be 0.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ RATIOS = (0.0, 25.0, 35.0, 45.0, 60.0, 80.0, np.inf)  # dB, edges of the rows of
 
 @dataclass(frozen=True)
 class Truth:
-    """What was put into a synthetic note; [partials]."""
+    """True partials of a synthetic recording; arrays are [partials]."""
 
     number: np.ndarray
     frequency: np.ndarray
@@ -57,14 +57,14 @@ class Truth:
 
 
 def amplitudes(count: int, rng: np.random.Generator) -> NDArray[np.complex128]:
-    """Of partials up to 40 dB apart, with random phases [count]."""
+    """Draw amplitudes over a range of 40 dB, with random phases [count]."""
     size = 0.05 * 10 ** (-rng.uniform(0, 40, count) / 20)
-    turned: NDArray[np.complex128] = np.exp(2j * np.pi * rng.random(count))
-    return size * turned
+    phase: NDArray[np.complex128] = np.exp(2j * np.pi * rng.random(count))
+    return size * phase
 
 
 def synthesise(string: tuple[float, float, int, float, float], case: str, seed: int) -> tuple[Recording, Truth]:
-    """One note and the truth about it. Partials rise over 3 ms, as under a hammer; phases and levels are random."""
+    """Return one note and its true partials, which rise over 3 ms as with a hammer, with random phases and levels."""
     rng = np.random.default_rng(seed)
     f0, B, count, b1, d2 = string
     k = np.arange(1, count + 1)
@@ -79,7 +79,7 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
         c = np.hstack([c, c * second[:, None]])
         p = np.hstack([p, p + 2j * np.pi * apart[:, None]])
     t = np.arange(int(SECONDS * RATE)) / RATE
-    # 3 cents of glide, dying away with 1 s, the same for all partials
+    # Glide of 3 cents with a time constant of 1 s, the same for all partials.
     bend = 3 * np.log(2) / 1200 * (1 - np.exp(-t)) if case == "glide" else 0.0
     tones = ((a * np.exp(s.real * t + 1j * s.imag * (t + bend))).real for a, s in zip(c.flat, p.flat, strict=True))
     x = sum(tones, np.zeros(len(t)))
@@ -88,13 +88,13 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
     if case != "clean":
         x = x + 1e-3 * np.sqrt(np.mean(x[: 2 * RATE] ** 2)) * rng.standard_normal(len(x))
     recording = replace(recording_from_samples(x, RATE), onset=int(LEAD * RATE))
-    # the pitch's mean over 0.2 to 1.0 s, where the analysis defines it
+    # Mean pitch over 0.2 to 1.0 s, the interval in which the analysis defines f0.
     sharp = 2 ** (3 / 1200 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8) if case == "glide" else 1.0
     return recording, Truth(k, f * sharp, decay, energy_level(c, p))
 
 
 def by_pencil(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
-    """One-component ESPRIT on each baseband, over its first 2 s."""
+    """Measure by one-component ESPRIT on each baseband, over its first 2 s."""
     x, f0 = recording.samples[recording.onset :], float(np.min(np.diff(truth.frequency, prepend=0)))
     bands = demodulate(x, RATE, truth.frequency, min(0.97 * f0, 100.0), 0.005)
     cut = bands.cut(0.0, 2.0)
@@ -110,7 +110,7 @@ def by_pencil(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
 
 
 def by_peak(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
-    """Damped peaks fitted to the power spectrum under exp(−8 t), each within a third of the way to its neighbours."""
+    """Fit damped peaks to the power spectrum with exp(−8 t), each within a third of the distance to its neighbours."""
     from scipy.optimize import least_squares
 
     x = recording.samples[recording.onset :]
@@ -123,14 +123,14 @@ def by_peak(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
         bins = np.arange(int((f - reach) / step), int((f + reach) / step) + 1)
         top = float(power[bins].max())
 
-        def rest(v: np.ndarray, bins: np.ndarray = bins, top: float = top) -> np.ndarray:
+        def residual(v: np.ndarray, bins: np.ndarray = bins, top: float = top) -> np.ndarray:
             width = np.exp(v[1]) + SIGMA
             shape = width**2 / ((2 * np.pi * (bins * step - v[0])) ** 2 + width**2)
             return np.exp(v[2]) * shape - power[bins] / top
 
         box = ([f - reach, -7.0, -5.0], [f + reach, 5.0, 5.0])
         first = [np.clip(step * bins[np.argmax(power[bins])], f - 0.9 * reach, f + 0.9 * reach), 0.0, 0.0]
-        v = least_squares(rest, first, bounds=box, x_scale=[0.1, 1.0, 1.0]).x
+        v = least_squares(residual, first, bounds=box, x_scale=[0.1, 1.0, 1.0]).x
         decay = float(np.exp(v[1]))
         out.append((v[0], decay, 2 * np.sqrt(np.exp(v[2]) * top) * (decay + SIGMA)))
     frequency, decay, amplitude = np.array(out).T
@@ -139,28 +139,28 @@ def by_peak(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
 
 
 def by_pianofit(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
-    """The package's own way, told nothing but the note."""
+    """Measure by `analyse`, with only the note as input."""
     f = truth.frequency / truth.number
     table = analyse(recording, note=hz_to_note(float(f[0]))).partials
     return table.number, table.frequency, table.decay, table.level
 
 
-def errors(found: tuple[np.ndarray, ...], truth: Truth) -> np.ndarray:
-    """Absolute errors [3, partials found]: frequency in cents, decay rate in per cent, level in dB."""
-    number, frequency, decay, level = found
-    known = np.isin(number, truth.number)
-    i = np.searchsorted(truth.number, number[known])
+def errors(measured: tuple[np.ndarray, ...], truth: Truth) -> np.ndarray:
+    """Return absolute errors [3, detected partials]: frequency in cents, decay rate in per cent, level in dB."""
+    number, frequency, decay, level = measured
+    exists = np.isin(number, truth.number)
+    i = np.searchsorted(truth.number, number[exists])
     return np.abs(
         [
-            1200 * np.log2(frequency[known] / truth.frequency[i]),
-            100 * (decay[known] / truth.decay[i] - 1),
-            level[known] - truth.level[i],
+            1200 * np.log2(frequency[exists] / truth.frequency[i]),
+            100 * (decay[exists] / truth.decay[i] - 1),
+            level[exists] - truth.level[i],
         ]
     )
 
 
 def single(f0: float, B: float, count: int, down: float, seed: int) -> tuple[Recording, Truth]:
-    """One note of single exponentials in white noise `down` dB below it, and the truth about it."""
+    """Return one note of single exponentials in white noise `down` dB below it, and its true partials."""
     rng = np.random.default_rng([seed, count])
     k = np.arange(1, count + 1)
     f, decay = k * f0 * np.sqrt(1 + B * k**2), 0.5 * 40 ** (((k - 1) / (count - 1)) ** 1.5)
@@ -176,7 +176,7 @@ def single(f0: float, B: float, count: int, down: float, seed: int) -> tuple[Rec
 
 
 def standardised(recording: Recording, truth: Truth) -> np.ndarray:
-    """[7, partials]: ratio of signal to noise, dB; z, and systematic over standard error, of all three columns."""
+    """Return [7, partials]: SNR, dB; z of three quantities; their systematic over standard errors."""
     f = truth.frequency / truth.number
     table = analyse(recording, note=hz_to_note(float(f[0]))).partials
     i = np.searchsorted(truth.number, table.number)
@@ -189,7 +189,7 @@ def standardised(recording: Recording, truth: Truth) -> np.ndarray:
 
 
 def print_errors(notes: int) -> None:
-    """Print how far the standard errors are right."""
+    """Print the test of the standard errors."""
     rows = np.hstack([standardised(*single(*n, d, seed)) for n in SINGLE for d in DOWN for seed in range(notes)])
     print("SNR, dB     partials   z: frequency  decay  level   systematic: frequency  decay  level")
     for low, high in itertools.pairwise(RATIOS):
@@ -203,9 +203,9 @@ def print_errors(notes: int) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description="compare ways of measuring partials")
+    parser = argparse.ArgumentParser(description="compare methods to measure partials")
     parser.add_argument("--notes", type=int, default=3, help="random notes per string and case (3)")
-    parser.add_argument("--errors", action="store_true", help="judge the standard errors instead")
+    parser.add_argument("--errors", action="store_true", help="test the standard errors instead")
     arguments = parser.parse_args()
     notes = arguments.notes
     if arguments.errors:
@@ -214,12 +214,12 @@ def main() -> None:
     methods = {"pencil": by_pencil, "peak": by_peak, "pianofit": by_pianofit}
     print(f"{'case':8} {'method':9} {'found':>6} {'cents: 50 %':>12} {'95 %':>9} {'decay, %':>9} {'95 %':>9} {'dB':>9} {'95 %':>9} {'s/note':>7}")  # fmt: skip  # noqa: E501
     for case in CASES:
-        made = [synthesise(string, case, seed) for string in STRINGS for seed in range(notes)]
-        total = sum(len(truth.number) for _, truth in made)
+        pairs = [synthesise(string, case, seed) for string in STRINGS for seed in range(notes)]
+        total = sum(len(truth.number) for _, truth in pairs)
         for name, method in methods.items():
             start = time.process_time()
-            error = np.hstack([errors(method(recording, truth), truth) for recording, truth in made])
-            seconds = (time.process_time() - start) / len(made)
+            error = np.hstack([errors(method(recording, truth), truth) for recording, truth in pairs])
+            seconds = (time.process_time() - start) / len(pairs)
             numbers = " ".join(f"{x:9.2g}" for row in error for x in (np.median(row), np.quantile(row, 0.95)))
             print(f"{case:8} {name:9} {error.shape[1] / total:6.0%}    {numbers} {seconds:7.2f}")
 

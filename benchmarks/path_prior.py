@@ -1,12 +1,12 @@
-"""What is learned of an unknown path's residual standard deviation τ from notes recorded at several velocities.
+"""Estimate the prior of the residual standard deviation τ of output paths, from notes recorded at several velocities.
 
     python benchmarks/path_prior.py
 
-The recordings are in ../shared/recordings and ../shared/disklavier, or where PIANOFIT_RECORDINGS says (folders
-separated by a colon), each with a `recordings.csv`. Every note with three layers or more is fitted; what its layers
-have in common beyond the fitted hammer is its path. F is then lowered over τ, and over the smooth part's amplitude and
-length, with everything else at the minimum: a τ for each note. The median and the standard deviation of their
-logarithms are the prior of every path's (`inference/priors.py`, PATH).
+The recordings are in ../shared/recordings and ../shared/disklavier, or in the folders of PIANOFIT_RECORDINGS (separated
+by a colon), each with a `recordings.csv`. Every note with three layers or more is fitted. The part common to its
+layers, beyond the fitted hammer, is attributed to its output path. F is then minimised over τ, and over the amplitude
+and length of the smooth part, with all other parameters at the minimum. The median and the standard deviation of the
+logarithms of τ are the prior (`inference/priors.py`, PATH).
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from pianofit.inference.likelihood import objective
 from pianofit.model.program_cache import enable_program_cache
 from pianofit.model.x64 import x64_scope
 
-# A note says something of its path's residual where so many partials share it.
+# Least number of partials of an output path to estimate τ.
 FEWEST = 12
 
 
-def residual_of(found) -> float:
+def residual_of(fit) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    level, table = found.minima.people.level, found.minima.descent.table
+    level, table = fit.minima.people.level, fit.minima.descent.table
     phi, w, residual = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual))
 
     def F(x: np.ndarray) -> float:
@@ -59,7 +59,7 @@ def main() -> None:
             taus.append(tau)
             print(f"{key:24} {partials:3d} partials  τ {tau:5.2f} dB", flush=True)
     if not taus:
-        sys.exit("no note with three layers or more was found; say where with PIANOFIT_RECORDINGS")
+        sys.exit("no note with three layers or more was found; set PIANOFIT_RECORDINGS to their folders")
     log = np.log(taus)
     median, spread = np.exp(np.median(log)), log.std(ddof=1)
     print(f"{len(taus)} notes: median {median:.2f} dB, standard deviation of the logarithm {spread:.2f}")

@@ -1,19 +1,20 @@
-"""How many modes of a partial are found, and how well, where the answer is known.
+"""Test the detected number of modes of a partial, and the errors of their poles, on synthetic recordings.
 
     python benchmarks/ringing_study.py                         24 drawn notes, orders and errors of poles
     python benchmarks/ringing_study.py --seeds 100 --json ringing_study.json
-    python benchmarks/ringing_study.py --time headroom-C4-close     how long the modes of a key take, and memory
+    python benchmarks/ringing_study.py --time headroom-C4-close     time and memory for the modes of a key
 
-Notes of eight partials are drawn: one to four modes each, beats of 0.05 to 5 Hz, double decays of ratio 2 to 16, every
-mode up to 30 dB below its partial's strongest, three strokes that excite each partial as a whole, white noise 40 to 70
-dB below the note's peak; every other note falls in pitch by up to 6 cents. The noise is the only thing that is unknown,
-so the Cramér-Rao bound of poles is known: amplitudes are eliminated, poles are common to all strokes, time begins where
-the band's kernel ends.
+Each drawn note has eight partials with one to four modes, beating of 0.05 to 5 Hz and ratios of decay rates of 2 to 16.
+Every mode lies at most 30 dB below the strongest of its partial. Three strokes excite each partial as a whole. White
+noise lies 40 to 70 dB below the peak of the note. Every other note falls in pitch by up to 6 cents. Only the noise is
+random, so the Cramér-Rao bound of the poles can be computed. Amplitudes are eliminated, poles are common to all
+strokes, and time begins at the end of the kernel of the band.
 
-What can be resolved: a mode's gain of the log likelihood at the truth, over the best that the others do without it
-(their amplitudes and, to first order, their poles free), against the cost that Schwarz (1978) gives its parameters. A
-partial is `clear` if every mode gains ten times, 10 dB more than, its cost. Errors are over the bound and, `z`, over
-the standard errors that were stated: medians of absolute values, 0.67 where bound and errors are right.
+The resolution of a mode compares two numbers. The first is its gain of log likelihood at the true values, over the best
+fit of the other modes (with free amplitudes and, to first order, free poles). The second is the penalty of its
+parameters after Schwarz (1978). A partial is `clear` if the gain of every mode is at least ten times the penalty, 10 dB
+above it. Errors are given relative to the bound and, as `z`, relative to the reported standard errors. Both are medians
+of absolute values, 0.67 for a correct bound and correct errors.
 """
 
 from __future__ import annotations
@@ -31,28 +32,29 @@ import numpy as np
 RATE = 22_050  # Hz
 SECONDS = 4.0
 LEAD = 0.1  # s before a stroke
-TAU = 0.5  # s, of a pitch that falls; and of exp(-t/TAU) the mean over 0.2 to 1.0 s, where an analysis has its f0
+TAU = 0.5  # time constant of the glide, s
+# Mean of exp(-t/TAU) over 0.2 to 1.0 s, the interval in which an analysis defines f0.
 MEAN = TAU / 0.8 * (np.exp(-0.2 / TAU) - np.exp(-1.0 / TAU))
 PARTIALS = 8
 STROKES = 3
 ORDERS = (1, 2, 3, 4)
-# A mode this far above what can be resolved, dB, should be found.
+# A mode this far above the limit of resolution, dB, should be detected.
 CLEAR = 10.0
 
 
 class Drawn(NamedTuple):
-    """A note whose modes are known."""
+    """A synthetic recording with its modes."""
 
     f0: float
     poles: list[np.ndarray]  # absolute, 1/s, of each partial
     amplitudes: list[np.ndarray]  # [strokes, modes] of each partial
     noise: float  # standard deviation of a sample
     samples: np.ndarray  # [strokes, samples] from `LEAD` before the stroke
-    glide: float  # relative, at the begin
+    glide: float  # relative, at the start
 
 
 def draw(seed: int) -> Drawn:
-    """One note."""
+    """Draw one note."""
     random = np.random.default_rng(seed)
     f0 = float(np.exp(random.uniform(np.log(60), np.log(600))))
     time = np.arange(round(SECONDS * RATE)) / RATE
@@ -81,14 +83,14 @@ def draw(seed: int) -> Drawn:
 
 
 def found(drawn: Drawn):
-    """The modes of all partials, by number: the law and the glide are given, as an analysis would."""
+    """Return the modes of all partials by number. Frequencies and glide are given, in place of an analysis."""
     from pianofit.analysis.glide import PitchGlide
     from pianofit.modal_response import align_layers, modes_of
     from pianofit.recording.recording import recording_from_samples
 
     number = np.arange(1, PARTIALS + 1)
     f0, fall = drawn.f0 * (1 + drawn.glide * MEAN), 1731 * drawn.glide * (1 - MEAN)
-    analysis: Any = SimpleNamespace(  # as much of an `Analysis` as is read
+    analysis: Any = SimpleNamespace(  # the fields of an `Analysis` that are used
         f0=f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * f0), glide_start=fall,
         glide_error=0.1, glide_model=PitchGlide(fall, TAU),
     )  # fmt: skip
@@ -97,11 +99,11 @@ def found(drawn: Drawn):
 
 
 def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """The Cramér-Rao bound of each pole's real and imaginary part, 1/s, and each mode's gain of the log likelihood."""
+    """Return the Cramér-Rao bound of the real and imaginary parts of poles, 1/s, and the gain of each mode."""
     from pianofit.modal_response.aligned_layers import SPAN
 
     time = np.linspace(start, SPAN, 1200)
-    # A complex amplitude known from n real samples of this noise has variance 4 noise²/n.
+    # A complex amplitude estimated from n real samples with this noise has variance 4 noise²/n.
     per = RATE * (time[1] - time[0]) / (4 * noise**2)
     e = np.exp(np.outer(time, pole - 1j * np.imag(pole).mean()))
     moved = time[:, None] * e
@@ -116,13 +118,13 @@ def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -
     gain = []
     for m in range(len(pole)):
         others = np.delete(np.arange(len(pole)), m)
-        left = without(e[:, [m]], np.hstack([e[:, others], moved[:, others]])) if len(others) else e[:, [m]]
-        gain.append(per * float((np.abs(left) ** 2).sum() * (np.abs(amplitude[:, m]) ** 2).sum()))
+        residual = without(e[:, [m]], np.hstack([e[:, others], moved[:, others]])) if len(others) else e[:, [m]]
+        gain.append(per * float((np.abs(residual) ** 2).sum() * (np.abs(amplitude[:, m]) ** 2).sum()))
     return errors, np.array(gain)
 
 
 def study(seed: int) -> list[dict]:
-    """Of every partial of a drawn note: what was there, what was found."""
+    """Return one row for each partial of a drawn note, with its true and its detected modes."""
     from pianofit.modal_response.aligned_layers import SPAN
     from pianofit.modal_response.bands import kernel_seconds
 
@@ -149,7 +151,7 @@ def study(seed: int) -> list[dict]:
 
 
 def take_time(key: str) -> None:
-    """Print the seconds that the modes of a recorded key take, and the process's largest memory before and after."""
+    """Print the time for the modes of a recorded key, and the peak memory of the process before and after."""
     import resource
 
     import crossval
@@ -158,31 +160,31 @@ def take_time(key: str) -> None:
     from pianofit.modal_response import align_layers, modes_of
     from pianofit.threads import one_blas_thread
 
-    known = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
-    if key not in known:
-        raise SystemExit(f"--time {key}: no such key; there are {', '.join(known)}")
-    note, files, _ = known[key]
+    keys = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
+    if key not in keys:
+        raise SystemExit(f"--time {key}: not a recorded key; use one of {', '.join(keys)}")
+    note, files, _ = keys[key]
     recordings = [load_recording(file) for file in files]
     analyses = [analyse(recording, note=note) for recording in recordings]
     before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
     with one_blas_thread():
-        heard = align_layers(recordings, analyses)
-        found = modes_of(heard, analyses)
+        aligned = align_layers(recordings, analyses)
+        modes = modes_of(aligned, analyses)
     wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)
-    layers, channels, _ = heard.samples.shape
+    layers, channels, _ = aligned.samples.shape
     print(
-        f"{key}: {layers} layers, {channels} channels, {len(found)} partials, {sum(len(m.pole) for m in found)} modes: "
-        f"{wall:.1f} s, of processors {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s; "
-        f"{before.ru_maxrss / 1e3:.0f} MB before, {after.ru_maxrss / 1e3:.0f} MB at the most (Linux)"
+        f"{key}: {layers} layers, {channels} channels, {len(modes)} partials, {sum(len(m.pole) for m in modes)} modes: "
+        f"{wall:.1f} s, processor time {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s; "
+        f"{before.ru_maxrss / 1e3:.0f} MB before, {after.ru_maxrss / 1e3:.0f} MB peak (Linux)"
     )
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=24, help="how many notes")
+    parser.add_argument("--seeds", type=int, default=24, help="number of notes (24)")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--time", metavar="KEY", help="only how long the modes of this recorded key take")
+    parser.add_argument("--time", metavar="KEY", help="print only the time for the modes of this recorded key")
     options = parser.parse_args()
     if options.time:
         take_time(options.time)

@@ -1,4 +1,4 @@
-"""What the tests of the reference share: struck strings, and how they are solved and compared."""
+"""Struck strings for the tests of the reference scheme, and functions to solve and compare them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def solve(case: dict, **more) -> finite_difference.Reference:
     return finite_difference.solve(**case, steps=STEPS, points=POINTS, **more)
 
 
-def relative(found, expected) -> float:
-    found, expected = np.asarray(found), np.asarray(expected)
-    return float(np.abs(found - expected).max() / np.abs(expected).max())
+def relative(actual, expected) -> float:
+    actual, expected = np.asarray(actual), np.asarray(expected)
+    return float(np.abs(actual - expected).max() / np.abs(expected).max())
 
 
 def touches(force) -> int:
@@ -31,7 +31,7 @@ def _parabola(x):
 
 
 BASS = String(c=155.0, kappa=0.6, b1=0.25, b2=1e-5)
-CASES = {  # case, touches at least
+CASES = {  # case, least number of contacts
     "paper": ({"string": STRING, "hammer": HAMMER, "geometry": WIDE, "step": 1 / 44_100}, 1),
     "linear felt": (
         {"string": STRING, "hammer": HAMMER._replace(p=1.0, K_H=5e4), "geometry": WIDE, "step": 1 / 44_100}, 1,

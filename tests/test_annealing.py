@@ -1,4 +1,4 @@
-"""Adaptive simulated annealing: its distributions against numerical ones, its promises, and whether it finds minima."""
+"""Adaptive simulated annealing: distributions against numerical ones, invariants, and success in finding minima."""
 
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -22,16 +22,16 @@ from pianofit.bensa2005.annealing import (
 )
 from pianofit.errors import ParameterError
 
-UNLIKELY = 1e-3  # of a test statistic, if what is tested is right
+UNLIKELY = 1e-3  # p-value below which a test fails
 
 
 def density(y: float, temperature: float) -> float:
-    """Ingber 1989: of a jump y in box widths."""
+    """Density of a jump y, box widths (Ingber 1989)."""
     return 1 / (2 * (abs(y) + temperature) * np.log(1 + 1 / temperature))
 
 
 def share(low: float, high: float, temperature: float) -> float:
-    """The probability of a jump between `low` and `high`, by integration in pieces that the integrand suits."""
+    """Probability of a jump between `low` and `high`, by piecewise integration."""
     knots = temperature * np.concatenate([-np.logspace(9, -2, 34), [0.0], np.logspace(-2, 9, 34)])
     knots = np.unique(np.clip(knots, low, high))
     return sum(quad(density, a, b, args=(temperature,))[0] for a, b in pairwise(knots))
@@ -62,14 +62,14 @@ def test_the_distribution_of_jumps_is_the_integral_of_ingbers_density(temperatur
 @pytest.mark.parametrize("temperature", [1.0, 0.1, 1e-3, 1e-7])
 @pytest.mark.parametrize("x", [0.0, 0.003, 0.5, 0.9, 1.0])
 def test_jumps_in_the_box_are_those_drawn_anew_until_they_are_inside(x, temperature):
-    """Ingber's way: y = sgn(u − 1/2) T [(1 + 1/T)^|2u−1| − 1], again and again. Rejection against one draw."""
+    """Rejection sampling of y = sgn(u − 1/2) T [(1 + 1/T)^|2u−1| − 1] (Ingber), compared with one draw."""
     random = np.random.default_rng(4)
     v = 2 * random.random(40_000) - 1
     drawn = x + np.sign(v) * temperature * ((1 + 1 / temperature) ** np.abs(v) - 1)
     drawn = drawn[(drawn >= 0) & (drawn <= 1)]
     ours = generate(random.random(15_000), np.full(15_000, x), np.full(15_000, temperature))
     assert ((ours >= 0) & (ours <= 1)).all()
-    # Steps over decades are compared by their logarithms, each side by itself.
+    # The jumps extend over decades, so their logarithms are compared, for each side.
     assert np.mean(ours > x) == pytest.approx(np.mean(drawn > x), abs=0.02)
     for side in (-1, 1):
         a, b = ((side * (p - x))[side * (p - x) > 1e-14] for p in (ours, drawn))
@@ -78,14 +78,14 @@ def test_jumps_in_the_box_are_those_drawn_anew_until_they_are_inside(x, temperat
 
 
 def test_the_jumps_of_a_run_follow_the_schedule():
-    """A chain that never moves shows what it tries: each jump has the distribution of its own step's temperature."""
+    """The trials of a chain that never moves have the distribution of the temperature of their step."""
     tried = []
 
     def only_the_start(z):
         tried.append(z[:, 0].copy())
         return np.where(z[:, 0] == 0.3, 0.0, 1.0)
 
-    schedule = Schedule(start=0.5, end=1e-4, cost_start=0.0, samples=1, reanneal=0, meetings=0)
+    schedule = Schedule(start=0.5, end=1e-4, cost_start=0.0, samples=1, reanneal=0, exchanges=0)
     end = anneal(only_the_start, [0.0], [1.0], chains=1, evaluations=4001, start=[0.3], schedule=schedule)
     assert end.z[0] == 0.3
     k = np.arange(1, 4001)
@@ -95,7 +95,7 @@ def test_the_jumps_of_a_run_follow_the_schedule():
     assert kstest(u, "uniform").pvalue > UNLIKELY
     warmer = jump_cdf(-0.3, 3 * T), jump_cdf(0.7, 3 * T)
     other = (jump_cdf(np.concatenate(tried[1:]) - 0.3, 3 * T) - warmer[0]) / (warmer[1] - warmer[0])
-    assert kstest(other, "uniform").pvalue < UNLIKELY  # the test would see a schedule that is wrong
+    assert kstest(other, "uniform").pvalue < UNLIKELY  # the test detects a wrong schedule
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 10])
@@ -117,16 +117,16 @@ def test_temperatures_fall_as_the_root_of_k_says(size):
 
 
 def test_at_a_fixed_temperature_chains_settle_into_boltzmanns_distribution():
-    """Drawn anew at the edges, jumps from x have the density g(y)/Z(x), Z the share of g inside the box.
+    """With truncation at the edges, jumps from x have the density g(y)/Z(x), where Z is the share of g inside the box.
 
-    Detailed balance then holds for π(x) ∝ Z(x) exp(−E/T): g is symmetric. 4000 chains that know nothing of each other.
+    Detailed balance holds for π(x) ∝ Z(x) exp(−E/T), because g is symmetric. The 4000 chains are independent.
     """
     T, warm = 0.05, 0.7
 
     def energy(z):
         return (1.5 * np.cos(9 * z) + 2 * z)[:, 0]
 
-    schedule = Schedule(start=T, end=T, cost_start=warm, cost_end=1.0, samples=1, reanneal=0, meetings=0)
+    schedule = Schedule(start=T, end=T, cost_start=warm, cost_end=1.0, samples=1, reanneal=0, exchanges=0)
     end = anneal(energy, [0.0], [1.0], chains=4000, evaluations=4000 * 150, seed=3, schedule=schedule)
     x = np.linspace(0, 1, 2001)
     inside = np.array([share(-p, 1 - p, T) for p in x[::20]])
@@ -142,7 +142,7 @@ def test_a_rise_is_accepted_with_boltzmanns_probability(rise):
     def step_up(z):
         return np.where((z == 0.5).all(axis=1), 0.0, rise)
 
-    schedule = Schedule(cost_start=0.8, cost_end=1.0, samples=1, meetings=0)
+    schedule = Schedule(cost_start=0.8, cost_end=1.0, samples=1, exchanges=0)
     begin = np.full((5000, 3), 0.5)
     end = anneal(
         step_up, np.zeros(3), np.ones(3), chains=5000, evaluations=10_000, start=begin, schedule=schedule, seed=1
@@ -154,15 +154,15 @@ def test_a_rise_is_accepted_with_boltzmanns_probability(rise):
 # --- re-annealing ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stretch", [0.5, 1.0])
-def test_reannealing_searches_insensitive_parameters_more_widely(stretch):
+@pytest.mark.parametrize("exponent", [0.5, 1.0])
+def test_reannealing_searches_insensitive_parameters_more_widely(exponent):
     slope = np.array([1.0, 100.0, 4.0, 0.0, 1e-6, 7.0])
     lower, upper = np.zeros(6), np.array([1.0, 1.0, 5.0, 1.0, 1.0, 0.0])  # the last is held
-    schedule = Schedule(reanneal=10, samples=1, stretch=stretch, widest=500.0)
+    schedule = Schedule(reanneal=10, samples=1, exponent=exponent, max_width=500.0)
     states = annealing(lambda z: z @ slope, lower, upper, chains=3, evaluations=2000, schedule=schedule)
     state = next(state for state in states if state.steps == 11)
-    # Per box width the slopes are 1, 100, 20, none, 1e-6; what tells nothing stays as it is.
-    expected = np.minimum((100 / np.array([1, 100, 20, 100, 1e-6])) ** stretch, 500.0)
+    # Per box width the slopes are 1, 100, 20, none, 1e-6. A parameter without sensitivity keeps its temperature.
+    expected = np.minimum((100 / np.array([1, 100, 20, 100, 1e-6])) ** exponent, 500.0)
     np.testing.assert_allclose(state.width, np.tile(expected, (3, 1)), rtol=1e-6)
     warm = temperatures(state, schedule)
     assert (warm[:, 0] > warm[:, 2]).all()
@@ -170,8 +170,8 @@ def test_reannealing_searches_insensitive_parameters_more_widely(stretch):
 
 
 def test_reannealing_sets_the_acceptance_to_what_there_is_still_to_gain():
-    """The gap to a chain's best, no warmer than T_0 and no colder than T: every case must have been met."""
-    schedule = Schedule(reanneal=20, samples=20, stretch=0.0, meetings=0.0, cost_end=1e-2)
+    """The gap to a chain's best, at most T_0 and at least T. Every case must occur."""
+    schedule = Schedule(reanneal=20, samples=20, exponent=0.0, exchanges=0.0, cost_end=1e-2)
     states = annealing(rastrigin, *box(3), chains=4, evaluations=4000, schedule=schedule, seed=2)
     met = []
     for before, state in pairwise(states):
@@ -235,7 +235,7 @@ def test_points_stay_in_the_box_batches_keep_their_shape_and_the_lowest_is_retur
         seen.append(z.copy())
         wave = np.cos(7 * (z - lower) / np.where(upper > lower, upper - lower, 1)) @ slope
         costs.append(np.where(np.sin(40 * wave) > 0.7, nowhere, wave))
-        z[:] = np.nan  # what the cost does to its argument is its own affair
+        z[:] = np.nan  # a cost may change its argument
         return costs[-1]
 
     start = random.normal(size=(min(2, chains), size))
@@ -275,16 +275,16 @@ def test_nothing_free_is_no_trouble():
 
 
 def test_chains_meet_unless_they_are_not_to():
-    """Only one chain starts in a hole that no jump finds; the others can only be told of it."""
+    """Only one chain starts in a hole that no jump finds. The others reach it only through this chain."""
 
     def hole(z):
         return np.where(np.abs(z - 0.123).max(axis=1) < 1e-9, -1.0, z.sum(axis=1))
 
     shares = []
-    for meetings in (0.0, 30.0):
+    for exchanges in (0.0, 30.0):
         end = anneal(
             hole, np.zeros(4), np.ones(4), chains=12, evaluations=6000, start=np.full(4, 0.123),
-            schedule=Schedule(meetings=meetings),
+            schedule=Schedule(exchanges=exchanges),
         )  # fmt: skip
         shares.append(np.mean(end.state.best_cost == -1.0))
     assert shares[0] == 1 / 12
@@ -306,12 +306,12 @@ def test_arguments_that_do_not_fit_are_named(change, message):
         anneal(**{**given, **change})
 
 
-# --- does it find minima? benchmarks/annealing_study.py says how often, beside others ---------------------------------
+# --- success in finding minima (benchmarks/annealing_study.py compares the rates with other methods) -----------------
 
 
 @pytest.mark.parametrize("chains", [1, 16])
 def test_rastrigins_deepest_minimum_is_found_among_ten_thousands(chains):
-    """11^4 minima. At 95 of 100, two failures in ten would be a chance of 1 in 10, three 1 in 90."""
+    """There are 11^4 minima. At a success rate of 95 %, two failures have a probability of 1/10, three of 1/90."""
     moved = np.array([0.4, -1.1, 0.8, 1.3])
     ends = [anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(10)]
     found = [end.cost < 0.01 and np.abs(end.z - moved).max() < 0.01 for end in ends]
@@ -319,7 +319,7 @@ def test_rastrigins_deepest_minimum_is_found_among_ten_thousands(chains):
 
 
 def test_a_smooth_bowl_is_searched_to_its_bottom():
-    """Fat tails or not: cooling must reach small scales. 2e-5 of the box in every coordinate."""
+    """In spite of heavy tails, the cooling must reach small scales: 2e-5 of the box in every coordinate."""
     for size in (1, 2, 5):
         end = anneal(lambda z: ((z - 0.3) ** 2).sum(axis=1), *box(size, 0.0, 1.0), evaluations=8000)
         assert np.abs(end.z - 0.3).max() < 2e-5

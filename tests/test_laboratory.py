@@ -1,4 +1,4 @@
-"""The laboratory as a whole: the paper's model with every switch off, instruments, files, what is refused."""
+"""The laboratory as a whole: the paper's model with all effects off, noise and sensor, setup, and errors."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ MASS = FINAL.hammer.M_H
 
 
 def signal(measurement: Measurement) -> np.ndarray:
-    """The note without noise from the first touch on, m/s."""
+    """The note without noise from the first contact on, m/s."""
     return measurement.clean[measurement.onset :] * measurement.scale
 
 
-# Every switch off.
+# All effects off.
 
 
 @pytest.fixture(scope="module")
 def limit() -> np.ndarray:
-    """The program's own model, extrapolated to a vanishing step."""
+    """`pianofit.model`, extrapolated to a step of 0."""
 
     def fast(oversampling: int) -> np.ndarray:
         hammer = FINAL.hammer._replace(v_H0=V)
-        one = simulate(STRING, hammer, FINAL.geometry, rate=44_100, oversampling=oversampling, n_modes=MODES)
-        return one.waveform(44_100, 8_820)
+        simulation = simulate(STRING, hammer, FINAL.geometry, rate=44_100, oversampling=oversampling, n_modes=MODES)
+        return simulation.waveform(44_100, 8_820)
 
     return (4 * fast(64) - fast(32)) / 3
 
@@ -82,16 +82,16 @@ def test_a_blow_says_what_happened():
     )
 
 
-# What the instruments add.
+# Noise and sensor.
 
 
 @pytest.mark.parametrize("level", [60.0, 20.0])
 def test_the_noise_is_as_loud_as_asked_for(level):
-    one = measure(SyntheticMeasurement(noise_db=level), V, seed=3)
-    noise = one.samples - one.clean
-    first = one.clean[one.onset : one.onset + one.rate]
+    recorded = measure(SyntheticMeasurement(noise_db=level), V, seed=3)
+    noise = recorded.samples - recorded.clean
+    first = recorded.clean[recorded.onset : recorded.onset + recorded.rate]
     assert 20 * np.log10(np.std(first) / np.std(noise)) == pytest.approx(level, abs=0.1)
-    f, power = scipy.signal.welch(noise, one.rate, nperseg=8192)
+    f, power = scipy.signal.welch(noise, recorded.rate, nperseg=8192)
 
     def mean(low: float, high: float) -> float:
         return float(np.mean(power[(f >= low) & (f < high)]))
@@ -101,9 +101,9 @@ def test_the_noise_is_as_loud_as_asked_for(level):
 
 
 def test_without_noise_there_is_none():
-    one = measure(SyntheticMeasurement(noise_db=None, **SHORT), V)
-    np.testing.assert_array_equal(one.samples, one.clean)
-    assert not one.samples[: one.onset].any()
+    recorded = measure(SyntheticMeasurement(noise_db=None, **SHORT), V)
+    np.testing.assert_array_equal(recorded.samples, recorded.clean)
+    assert not recorded.samples[: recorded.onset].any()
 
 
 def test_the_sensor_errs_as_much_as_asked_for():
@@ -134,42 +134,44 @@ def test_the_truth_names_the_nine_parameters():
 
 @pytest.mark.parametrize("velocity", [0.618, 0.844, 1.299, 1.8, 2.3])
 def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
-    one = measure(SyntheticMeasurement(**SHORT), velocity)
-    assert 0.05 < np.abs(one.samples).max() < 0.9
+    recorded = measure(SyntheticMeasurement(**SHORT), velocity)
+    assert 0.05 < np.abs(recorded.samples).max() < 0.9
 
 
-# What the laboratory knew.
+# The setup.
 
 
 def test_the_setup_says_what_the_laboratory_knew():
-    one = measure(SyntheticMeasurement(**SHORT), 2.3)
-    setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity, hold_velocity=True)), "setup")
+    recorded = measure(SyntheticMeasurement(**SHORT), 2.3)
+    text = setup_text(recorded.scale, recorded.nominal_velocity, hold_velocity=True)
+    setup = setup_from_dict(tomllib.loads(text), "setup")
     g = FINAL.geometry
     assert (setup.length, setup.mass, setup.strike_position, setup.strike_width, setup.pickup_position) == tuple(g)
     assert setup.pickup_quantity == "velocity"
-    assert setup.pickup_scale == one.scale
-    assert [t.v_H0 for t in setup.recordings] == [one.nominal_velocity]
+    assert setup.pickup_scale == recorded.scale
+    assert [t.v_H0 for t in setup.recordings] == [recorded.nominal_velocity]
     assert setup.initial["K_H"] == 1.51647e9
     assert "v_H0" not in setup.initial
 
 
 def test_a_velocity_can_be_where_the_fit_starts():
-    one = measure(SyntheticMeasurement(**SHORT), V)
-    setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity)), "setup")
+    recorded = measure(SyntheticMeasurement(**SHORT), V)
+    setup = setup_from_dict(tomllib.loads(setup_text(recorded.scale, recorded.nominal_velocity)), "setup")
     assert setup.recordings == ()
-    assert setup.initial["v_H0"] == one.nominal_velocity != V
+    assert setup.initial["v_H0"] == recorded.nominal_velocity != V
 
 
-# What cannot be.
+# Errors.
 
 
 def test_what_cannot_be_is_refused():
-    with pytest.raises(ParameterError, match="felt='wool' must be one of hunt-crossley, memory, power"):
+    with pytest.raises(ParameterError, match="felt='wool'"):
         SyntheticMeasurement(felt="wool")
-    with pytest.raises(ParameterError, match=r"velocity=5.0 must be from 0.05 to 3.5 m/s"):
+    with pytest.raises(ParameterError, match=r"velocity=5.0"):
         measure(SyntheticMeasurement(), 5.0)
 
 
 def test_measuring_needs_no_jax():
-    program = "import sys, pianofit.bensa2005.laboratory as l\nl.measure(l.Laboratory(), 0.844); assert 'jax' not in sys.modules"
+    program = "import sys, pianofit.bensa2005.laboratory as l\nl.measure(l.SyntheticMeasurement(), 0.844)"
+    program += "; assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)

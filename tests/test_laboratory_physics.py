@@ -1,4 +1,4 @@
-"""The laboratory's parts as physics has them: energy, felts, the second polarisation, the bridge."""
+"""Physical properties of the laboratory: energy, felts, second polarisation, bridge."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pianofit.bensa2005.laboratory.body import Axis, Body, make_axes, make_body
 from pianofit.bensa2005.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
 from pianofit.bensa2005.laboratory.felt import FELTS, Felt, FeltState
 from pianofit.bensa2005.laboratory.measurement import felt_of, stroke_of
-from pianofit.bensa2005.laboratory.strike import Stroke, _meet, strike
+from pianofit.bensa2005.laboratory.strike import Stroke, _solve_contact, strike
 from pianofit.errors import FitError
 from pianofit.parameters import String
 
@@ -35,21 +35,21 @@ def by_frequency(body: Body) -> np.ndarray:
 
 
 def stored(felt: Felt, dent, memory):
-    """What the felt has stored (S in `laboratory.felt`), J, of arrays or numbers."""
+    """Energy stored in the felt (S in `laboratory.felt`), J, for arrays or numbers."""
     p = felt.p
     recent = dent ** (p + 1) / (p + 1) - felt.eps * memory * dent
     return felt.K * (recent + felt.eps * p / (p + 1) * memory ** ((p + 1) / p))
 
 
 def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
-    """String, bridge, hammer and felt together, J [steps]."""
+    """Total energy of string, bridge, hammer and felt, J [steps]."""
     xi = np.real(stroke.states @ body.vectors.T)
     kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
     return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
 
 
 def drop(lab: SyntheticMeasurement, velocity: float) -> np.ndarray:
-    """Change of the total energy at every step, over that of the hammer at first."""
+    """Change of the total energy at every step, relative to the initial energy of the hammer."""
     body, stroke = stroke_of(lab, velocity)
     total = energy(body, felt_of(lab), MASS, stroke)
     return np.diff(total) / total[0]
@@ -75,7 +75,7 @@ def test_no_memory_makes_energy(eps, tau, rate):
 def test_without_losses_the_stroke_keeps_energy():
     body, felt = alone(STRING._replace(b1=0.0, b2=0.0)), Felt(FINAL.hammer.K_H, FINAL.hammer.p)
     total = energy(body, felt, MASS, strike(body, felt, MASS, V, 1e5))
-    # On the first step u^p begins as no polynomial does, and the quadrature of the work misses a hundred-billionth.
+    # On the first step u^p is not a polynomial, so the quadrature of the work has an error of 1e-11.
     np.testing.assert_allclose(total[1:], total[1], rtol=1e-12)
     assert abs(total[1] / total[0] - 1) < 1e-10
 
@@ -116,7 +116,7 @@ def test_memory_is_exact_where_the_felts_law_is_linear_in_time():
 
 
 def force_along(felt: Felt, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the steps and the felt's force along u = U sin(πt/T), T = 1 ms, until it is left."""
+    """Middles of the steps, and the force of the felt along u = U sin(πt/T), T = 1 ms."""
     h = 1e-3 / steps
     state, force = FeltState(), []
     for gap in 2e-4 * np.sin(np.pi * np.arange(1, steps + 1) / steps):
@@ -138,7 +138,7 @@ def test_the_force_with_memory_is_stulovs_integral_to_second_order():
     errors = []
     for steps in (40, 80, 160):
         times, force = force_along(felt, steps)
-        early = times < 0.5e-3  # of the fall, the last part is flown apart
+        early = times < 0.5e-3  # contact ends during the fall
         errors.append(np.abs(force - [by_definition(t) for t in times])[early].max() / force.max())
     assert np.all(np.abs(np.log2(np.divide(errors[:-1], errors[1:])) - 2) < 0.15), errors
     assert errors[-1] < 2e-4
@@ -184,14 +184,14 @@ def test_felts_with_losses_lose():
 
 @pytest.mark.parametrize("free", [1e-13, 1e-11, 1e-9, 1e-6])
 def test_the_faintest_touch_is_one(free):
-    force, state = _meet(Felt(1e10, 2.56), 7e-7, FeltState(), free, 1e-10)
+    force, state = _solve_contact(Felt(1e10, 2.56), 7e-7, FeltState(), free, 1e-10)
     assert force > 0
     assert state.gap + 1e-10 * force == pytest.approx(free, rel=1e-14)
 
 
 def test_a_hammer_that_never_leaves_is_an_error():
     body, felt = alone(modes=32), Felt(1e5, 1.0)
-    with pytest.raises(FitError, match=r"velocity=0.5 m/s: the hammer is still at the string after 0.05 s"):
+    with pytest.raises(FitError, match=r"velocity=0.5 m/s"):
         strike(body, felt, 10.0, 0.5, 1e5)
 
 
@@ -213,8 +213,8 @@ def test_each_polarisation_is_a_string_of_its_own_where_the_supports_are_rigid()
 def envelope() -> tuple[np.ndarray, np.ndarray]:
     """Times, s, and amplitude of the fifth partial with a second polarisation, by its quadrature components."""
     lab = SyntheticMeasurement.ideal(polarisation=True, seconds=12.0)
-    one, pole = measure(lab, V), by_frequency(alone())[4]
-    note = one.clean[one.onset :]
+    measurement, pole = measure(lab, V), by_frequency(alone())[4]
+    note = measurement.clean[measurement.onset :]
     t = np.arange(len(note)) / chosen.RATE
     width = round(0.05 * chosen.RATE)
     mixed = scipy.signal.oaconvolve(note * np.exp(-1j * pole.imag * t), np.hanning(width) / width * 4, "same")
@@ -230,7 +230,7 @@ def test_a_partial_decays_twice(envelope):
     t, amplitude = envelope
 
     def decay(start: float) -> float:
-        """From the energy of one period of the beats to that of the next, 1/s."""
+        """Decay rate from the energies of two successive beat periods, 1/s."""
         first, second = (
             np.mean(amplitude[(t >= s) & (t < s + beat_period())] ** 2) for s in (start, start + beat_period())
         )
@@ -244,10 +244,10 @@ def test_and_beats_as_two_frequencies_do(envelope):
     t, amplitude = envelope
     ratio = math.tan(math.radians(chosen.ANGLE)) ** 2
     slow, fast = STRING.b1 * chosen.SLOWER, STRING.b1
-    # Both start together, and turn against each other by one turn a period.
+    # Both start in phase, and their phase difference grows by one cycle per beat period.
     two = np.abs(np.exp(-fast * t) + ratio * np.exp(-slow * t + 2j * np.pi * t / beat_period()))
     level = 20 * np.log10(amplitude / two)
-    assert np.ptp(level) < 0.4  # dB, while the beats are
+    assert np.ptp(level) < 0.4  # dB, while the beating has
     assert np.ptp(20 * np.log10(amplitude)[(t > 3.5) & (t < 5)]) > 15
 
 
@@ -256,19 +256,19 @@ def test_and_beats_as_two_frequencies_do(envelope):
 
 def test_one_resonator_at_the_end_of_an_ideal_string_is_solved_exactly():
     """T k cot(kL) + D(ω) = 0 with k = ω/c, D = m (ω0² - ω² + jωω0/Q), by Newton from the body's own poles."""
-    one, length, c = Resonator(330.0, 0.5, 8.0, 0.0), FINAL.geometry.length, STRING.c
-    tension, w0 = FINAL.geometry.mass / length * c**2, 2 * np.pi * one.frequency
+    end, length, c = Resonator(330.0, 0.5, 8.0, 0.0), FINAL.geometry.length, STRING.c
+    tension, w0 = FINAL.geometry.mass / length * c**2, 2 * np.pi * end.frequency
 
     def balance(w: np.ndarray) -> np.ndarray:
-        return tension * w / c / np.tan(w / c * length) + one.mass * (w0**2 - w**2 + 1j * w * w0 / one.quality)
+        return tension * w / c / np.tan(w / c * length) + end.mass * (w0**2 - w**2 + 1j * w * w0 / end.quality)
 
-    found = by_frequency(alone(String(c, 0.0, 0.0, 0.0), (one,)))[:12] / 1j
-    root = found.copy()
+    poles = by_frequency(alone(String(c, 0.0, 0.0, 0.0), (end,)))[:12] / 1j
+    root = poles.copy()
     for _ in range(20):
         slope = (balance(root + 1e-4) - balance(root - 1e-4)) / 2e-4
         root -= balance(root) / slope
-    np.testing.assert_allclose(found, root, atol=2e-5 * c)
-    assert np.abs(root[1:].imag).max() > 20 * np.abs(found - root).max()
+    np.testing.assert_allclose(poles, root, atol=2e-5 * c)
+    assert np.abs(root[1:].imag).max() > 20 * np.abs(poles - root).max()
 
 
 def test_the_bridge_takes_energy_near_its_resonances_only():

@@ -1,4 +1,4 @@
-"""The paper's recipes: they do what they say, hold what is known, claim nothing, and find more than the gradient."""
+"""The paper's recipes: their steps, fixed values and bounds, statements without intervals, and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pianofit
 from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
 from pianofit.bensa2005 import search as searching
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
-from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, fit_by_paper
+from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, SearchResult, fit_by_paper
 from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
 from pianofit.errors import SetupError
@@ -23,18 +23,19 @@ from pianofit.inference.initial_values import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
+from pianofit.result.identifiability import STOPPED
 
 FEW = 600
 
 
 @functools.cache
-def twin():
+def synthetic():
     return make_synthetic_recording(60.0, seed=0)
 
 
 @functools.cache
 def recording():
-    return recording_from_samples(twin().samples, twin().rate, name="twin")
+    return recording_from_samples(synthetic().samples, synthetic().rate, name="synthetic")
 
 
 @functools.cache
@@ -51,9 +52,9 @@ def setup(**more: Any):
 
 
 def bounded():
-    """Values held, and bounds that leave the truth outside."""
-    known, start = {"p": 2.5, "c": 304.0}, {"K_H": 1.5e9, "M_H": 4e-3, "kappa": 1.6}
-    return setup(fixed=known, initial=start, bounds={"K_H": [1e8, 5e9], "M_H": [1e-3, 5e-3], "kappa": [1.5, 1.7]})
+    """Fixed values, and bounds that exclude the true values."""
+    fixed, start = {"p": 2.5, "c": 304.0}, {"K_H": 1.5e9, "M_H": 4e-3, "kappa": 1.6}
+    return setup(fixed=fixed, initial=start, bounds={"K_H": [1e8, 5e9], "M_H": [1e-3, 5e-3], "kappa": [1.5, 1.7]})
 
 
 @functools.cache
@@ -61,7 +62,7 @@ def uncalibrated():
     """A recording at a third of its level, its analysis, and a setup without a scale and initial values."""
     data = {k: v for k, v in tomllib.loads(setup_text()).items() if k != "initial"}
     del data["pickup"]["scale"]
-    quiet = recording_from_samples(0.3 * twin().samples, twin().rate, name="twin")
+    quiet = recording_from_samples(0.3 * synthetic().samples, synthetic().rate, name="synthetic")
     return quiet, analyse(quiet), setup_from_dict(data, "x")
 
 
@@ -79,63 +80,58 @@ def start(given=None) -> InitialValues:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "named"),
     [
-        ({"length": 1.0, "fixed": {"c": 400.0}}, r"c = 400 m/s and \[string\] length = 1 m make 200.0 Hz, and the rec"),
-        (
-            {"fixed": {"c": 2000.0}},
-            r"m, the literature's, make \d+\.\d Hz, and the recordings sound at 152\.\d Hz; correct",
-        ),
-        (
-            {"length": 0.03},
-            r"length = 0.03 m would need a wave speed of 9.12 m/s where the recordings sound at 152\.\d Hz",
-        ),
+        ({"length": 1.0, "fixed": {"c": 400.0}}, ("c = 400 m/s", "length = 1 m", "200.0 Hz")),
+        ({"fixed": {"c": 2000.0}}, ("c = 2000 m/s", "152.")),
+        ({"length": 0.03}, ("length = 0.03 m", "9.12 m/s", "152.")),
     ],
 )
-def test_a_string_of_another_pitch_is_refused(given, said):
-    with pytest.raises(SetupError, match=said):
+def test_a_string_of_another_pitch_is_refused(given, named):
+    with pytest.raises(SetupError) as error:
         start(pianofit.Setup(**given))
+    assert all(word in str(error.value) for word in named)
 
 
 @pytest.mark.parametrize(("cents", "refused"), [(-60, True), (-40, False), (40, False), (60, True)])
 def test_a_wave_speed_and_a_length_may_be_less_than_half_a_semitone_off(cents, refused):
     """`ANOTHER_PITCH`, from both sides."""
     given = pianofit.Setup(length=1.0, fixed={"c": 2 * analysis().f0 * 2 ** (cents / 1200)})
-    with pytest.raises(SetupError, match="correct one of them") if refused else contextlib.nullcontext():
+    with pytest.raises(SetupError, match="length = 1 m") if refused else contextlib.nullcontext():
         start(given)
 
 
-def search(given=None, recipe: str = "paper", **more: Any) -> Found:
+def search(given=None, recipe: str = "paper", **more: Any) -> SearchResult:
     return fit_by_paper(recording(), analysis(), start(given), recipe, **more)
 
 
 @functools.cache
-def paper() -> Found:
+def paper() -> SearchResult:
     return search(evaluations=3000)
 
 
-def values(found: Found) -> dict[str, float]:
-    return dict(zip(FIT_NAMES, (*found.string, *found.hammer), strict=True))
+def values(end: SearchResult) -> dict[str, float]:
+    return dict(zip(FIT_NAMES, (*end.string, *end.hammer), strict=True))
 
 
-def off(found: Found, name: str) -> float:
-    return abs(values(found)[name] / twin().true[name] - 1)
+def off(end: SearchResult, name: str) -> float:
+    return abs(values(end)[name] / synthetic().true[name] - 1)
 
 
 def criterion(string: String, hammer: Hammer, delay: float) -> dict[str, float]:
-    """Eq. 19 of the sound that is heard at the recording's onset, `delay` seconds after the first contact."""
+    """Eq. 19 of the sound from the onset of the recording on, `delay` seconds after the first contact."""
     begin, a, r = start(), analysis(), recording()
-    heard = r.samples[r.onset :] * begin.scale
+    measured = r.samples[r.onset :] * begin.scale
     late = round(delay * r.rate)
-    sound = simulate(string, hammer, begin.geometry, rate=r.rate).waveform(r.rate, len(heard) + late)[late:]
+    sound = simulate(string, hammer, begin.geometry, rate=r.rate).waveform(r.rate, len(measured) + late)[late:]
     (cells, energy), (_, own) = (
-        measure(x, r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0)) for x in (heard, sound)
+        measure(x, r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0)) for x in (measured, sound)
     )
     return band_values(own, energy, cells.spacing)
 
 
-def final(found: Found) -> dict[str, float]:
-    return criterion(found.string, found.hammer, found.delay)
+def final(end: SearchResult) -> dict[str, float]:
+    return criterion(end.string, end.hammer, end.delay)
 
 
 def initial() -> dict[str, float]:
@@ -171,18 +167,18 @@ def test_the_global_criterion_goes_down_and_leaves_the_brightness_behind(monkeyp
     found = search(recipe="global")
     after = final(found)
     assert after["global"] < 0.1 * initial()["global"]
-    # "The energy of high frequency components" hardly counts (paper IV.B).
+    # "The energy of high frequency components" has little weight (paper IV.B).
     assert after["band3"] > 10 * final(paper())["band3"]
     assert not found.converged
 
 
 def test_the_delay_goes_back_to_the_first_contact():
     assert paper().delay == pytest.approx(
-        (recording().onset - twin().onset) / recording().rate, abs=2 / recording().rate
+        (recording().onset - synthetic().onset) / recording().rate, abs=2 / recording().rate
     )
 
 
-# --- what was known beforehand ----------------------------------------------------------------------------------------
+# --- given values -----------------------------------------------------------------------------------------------------
 
 
 def test_known_values_and_bounds_hold_exactly():
@@ -206,9 +202,9 @@ def test_a_known_felt_stiffness_stays_while_the_exponent_moves():
 
 
 def test_an_uncalibrated_recording_holds_the_assumed_velocity_and_leaves_the_onset():
-    quiet, seen, given = uncalibrated()
-    begin = starting_values(seen, given)
-    found = fit_by_paper(quiet, seen, begin, evaluations=FEW)
+    quiet, analysed, given = uncalibrated()
+    begin = starting_values(analysed, given)
+    found = fit_by_paper(quiet, analysed, begin, evaluations=FEW)
     assert found.hammer.v_H0 == begin.values["v_H0"]
     string = String(*(begin.initial[name] for name in String._fields))
     assert found.delay == arrival(string, begin.geometry, begin.quantity)
@@ -220,18 +216,18 @@ def test_a_power_law_felt_has_no_loss():
 
 
 def test_a_note_without_a_third_band_uses_the_next():
-    note, seen = of_four_partials()
-    begin = starting_values(seen, pianofit.Setup())
-    found = fit_by_paper(note, seen, begin, evaluations=FEW)
+    note, analysed = of_four_partials()
+    begin = starting_values(analysed, pianofit.Setup())
+    found = fit_by_paper(note, analysed, begin, evaluations=FEW)
     assert found.hammer.p != begin.initial["p"]
     assert np.isfinite([*found.string, *found.hammer]).all()
 
 
-# --- what a result says -----------------------------------------------------------------------------------------------
+# --- statements of a result -------------------------------------------------------------------------------------------
 
 
-def fit(sound, seen, known, recipe: str = "paper", **more: Any) -> dict:
-    return pianofit.fit(sound, analyses=[seen], setup=known, recipe=recipe, **more).document
+def fit(sound, found, given, recipe: str = "paper", **more: Any) -> dict:
+    return pianofit.fit(sound, analyses=[found], setup=given, recipe=recipe, **more).document
 
 
 def document(given=None, recipe: str = "paper", **more: Any) -> dict:
@@ -245,7 +241,7 @@ def test_no_interval_is_claimed_and_that_is_said():
     assert {p["status"] for p in whole["parameters"].values()} <= {"fitted", "given", "at-bound"}
     assert (whole["invariants"], whole["minima"]) == ({}, [])
     assert NO_INTERVALS in whole["messages"]
-    assert not any("intervals include" in said for said in whole["messages"])
+    assert not any("intervals include" in message for message in whole["messages"])
     assert whole["claims"] == OPENING["paper"]
     for name in FIT_NAMES:
         assert whole["parameters"][name]["initial"] == setup().initial[name]
@@ -255,29 +251,29 @@ def test_a_search_that_stopped_is_said(monkeypatch):
     monkeypatch.setattr(searching, "ITERATIONS", 5)
     whole = document(recipe="global")
     assert not whole["converged"]
-    assert any("stopped before it" in said for said in whole["messages"])
+    assert any(STOPPED in message for message in whole["messages"])
 
 
 def test_values_at_a_bound_are_said():
     whole = document(bounded(), evaluations=FEW)
     bound = [name for name, p in whole["parameters"].items() if p["status"] == "at-bound"]
     assert set(bound) & set(bounded().bounds)
-    assert any(all(name in said for name in bound) for said in whole["messages"])
+    assert any(all(name in message for name in bound) for message in whole["messages"])
     assert all(whole["parameters"][name]["status"] == "given" for name in bounded().fixed)
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
-    sound, seen, known = (recording(), analysis(), setup()) if calibrated else uncalibrated()
-    result = pianofit.fit(sound, analyses=[seen], setup=known, recipe="paper", evaluations=FEW)
+    sound, analysed, given = (recording(), analysis(), setup()) if calibrated else uncalibrated()
+    result = pianofit.fit(sound, analyses=[analysed], setup=given, recipe="paper", evaluations=FEW)
     scale = 20 * np.log10(start().scale) if calibrated else 0.0
     for played in (result.initial, result.fitted):
-        # The analysis' own way to the levels of what was played, which file units are.
+        # Levels of the sounds as the analysis measures them, in file units.
         own = analyse(recording_from_samples(played.samples, sound.rate, name="played")).partials
         strong = own.number[own.level > own.level.max() - 20]
-        both = np.intersect1d(strong, seen.partials.number)
-        heard = own.level[np.isin(own.number, both)] + scale
-        np.testing.assert_allclose(played.level[np.isin(seen.partials.number, both)], heard, atol=0.5)
+        both = np.intersect1d(strong, analysed.partials.number)
+        measured = own.level[np.isin(own.number, both)] + scale
+        np.testing.assert_allclose(played.level[np.isin(analysed.partials.number, both)], measured, atol=0.5)
 
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
@@ -291,10 +287,10 @@ def test_an_uncalibrated_recording_leaves_the_felt_unknown():
 def test_a_band_without_partials_is_said():
     whole = fit(*of_four_partials(), pianofit.Setup(), evaluations=FEW)
     assert whole["criterion"]["dropped"] == ["band3"]
-    assert any("band 3" in said for said in whole["messages"])
+    assert any("band 3" in message for message in whole["messages"])
 
 
-# --- what cannot be asked for -----------------------------------------------------------------------------------------
+# --- errors -----------------------------------------------------------------------------------------------------------
 
 REFUSED = [
     ("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global", 5000, "annealing"),
@@ -302,9 +298,9 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("recipe", "evaluations", "said"), REFUSED)
-def test_a_fit_refuses_other_recipes_and_evaluations(recipe, evaluations, said):
-    with pytest.raises(ParameterError, match=said):
+@pytest.mark.parametrize(("recipe", "evaluations", "named"), REFUSED)
+def test_a_fit_refuses_other_recipes_and_evaluations(recipe, evaluations, named):
+    with pytest.raises(ParameterError, match=named):
         document(recipe=recipe, evaluations=evaluations)
 
 
@@ -324,9 +320,9 @@ def test_an_unknown_recipe_is_no_command(tmp_path, capsys):
 
 def test_the_command_line_from_end_to_end(tmp_path, capsys):
     out = tmp_path / "out"
-    (tmp_path / "twin.wav").write_bytes(pianofit.encode_wav(twin().samples, twin().rate))
+    (tmp_path / "synthetic.wav").write_bytes(pianofit.encode_wav(synthetic().samples, synthetic().rate))
     (tmp_path / "setup.toml").write_text(setup_text())
-    command = ["fit", str(tmp_path / "twin.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
+    command = ["fit", str(tmp_path / "synthetic.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     assert "No intervals" in capsys.readouterr().out
     whole = json.loads((out / "fit.json").read_text())

@@ -1,12 +1,12 @@
-"""The fast path against the paper's own scheme, which shares nothing with it.
+"""The modal model against the paper's own scheme, which shares no code with it.
 
-Both solve the same discrete equations, so that nothing but rounding may tell them apart: signals to 1e-9 of full scale,
-derivatives by all nine parameters to 1e-8 of theirs.
+Both solve the same discrete equations, so they differ only by rounding: signals by 1e-9 of full scale, derivatives by
+all nine parameters by 1e-8 of their largest value.
 
-Two things bound what rounding allows, and the tests say so instead of loosening anything. A hammer that bounces many
-times off a light string is chaotic; the derivatives themselves tell (`_condition`), and such an example is left out.
-And a parameter that hardly acts, with a derivative by its logarithm of less than a hundredth of the signal, has a
-derivative that is the small difference of large ones: there 1e-10 of the signal stands for 1e-8 of the derivative.
+Rounding has larger effects in two cases. A hammer that bounces many times on a light string is chaotic. The derivatives
+show this (`_condition`), and such an example is left out. A parameter with little effect has a derivative that is the
+small difference of large numbers. If its derivative by the logarithm is below a hundredth of the signal, the limit is
+1e-10 of the signal instead of 1e-8 of the derivative.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HARDLY = 1e-2  # of the signal
 WELL_CONDITIONED = 1e4
 
 
-# --- the fast path, through its public parts and JAX's derivatives ----------------------------------------------------
+# --- the model, by its public parts and JAX's derivatives -------------------------------------------------------------
 
 
 def _outputs(values, geometry, step, weights, displacement, velocity) -> dict:
@@ -69,7 +69,7 @@ def _strike_weights(window: np.ndarray) -> np.ndarray:
 
 
 def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
-    """The fast path's outputs, and their derivatives by name."""
+    """The outputs of the model, and their derivatives by name."""
     at = np.array([*case["string"], *case["hammer"]], float)
     start = (
         np.zeros(POINTS) if case.get(name) is None else model.project(case[name], case["geometry"].length, POINTS)
@@ -83,18 +83,18 @@ def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
 # --- the comparison ---------------------------------------------------------------------------------------------------
 
 
-def _condition(case: dict, found: finite_difference.Reference) -> float:
-    """How many times a relative change of all parameters comes back in velocity or force, of full scale."""
+def _condition(case: dict, slow: finite_difference.Reference) -> float:
+    """Condition number: relative change of velocity or force per relative change of all parameters."""
     total = {"velocity": 0.0, "force": 0.0}
     for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=True):
         for kind in total:
-            size = np.abs(getattr(found.signals, kind)).max()
-            total[kind] += abs(value) * np.abs(getattr(found.derivatives[name], kind)).max() / size
+            size = np.abs(getattr(slow.signals, kind)).max()
+            total[kind] += abs(value) * np.abs(getattr(slow.derivatives[name], kind)).max() / size
     return max(total.values())
 
 
 def _errors(case: dict, slow: finite_difference.Reference) -> dict[str, float]:
-    """Each error over what is allowed."""
+    """Each error, relative to its limit."""
     fast, tangents = _fast(case, slow.window)
     size = {kind: np.abs(getattr(slow.signals, kind)).max() for kind in ("velocity", "force", "compression")}
     errors = {kind: np.abs(fast[kind] - getattr(slow.signals, kind)).max() / (SIGNALS * size[kind]) for kind in size}
@@ -128,11 +128,11 @@ def _box(name: str):
 
 @st.composite
 def struck_strings(draw) -> dict:
-    """The whole box, as far as it makes a string of 20 to 5,000 Hz and a felt that gives way within the time followed.
+    """The box of parameters, limited to strings of 20 to 5,000 Hz and felts with a compression within the steps.
 
-    Not in it, each for a reason: longer steps than 1/20,000 s, at which the kernels of modes beyond the rate cancel
-    digits; felts that hardly give way and yet have losses, whose force the fast path takes from 1 + μ u̇ close to 0;
-    modes damped past the critical, which the table holds back and the paper's scheme does not.
+    Excluded are steps longer than 1/20,000 s, with which the kernels of modes beyond the rate lose digits by
+    cancellation; hard felts with losses, whose force in the model depends on 1 + μ u̇ close to 0; and overdamped modes,
+    which the model limits and the paper's scheme does not.
     """
     length, f0 = draw(st.floats(0.05, 2.0)), draw(_log(20.0, 5000.0))
     c = min(max(2 * length * f0, 20.0), 2000.0)
@@ -142,7 +142,7 @@ def struck_strings(draw) -> dict:
     b1, b2 = min(draw(_box("b1")), 0.4 * omega[0]), min(draw(_box("b2")), float(0.4 * np.min(omega / s)))
     hammer = Hammer(*(draw(_box(name)) for name in HAMMER_NAMES))
     step = min(draw(st.floats(1.0, 12.0)) / f0 / STEPS, 1 / 20_000)
-    # What a rigid string would press the felt by: K_H over the box, by way of how long the felt takes.
+    # Compression by a rigid string: it sets K_H over the box by the duration of the contact.
     deep = hammer.v_H0 * step * STEPS * draw(_log(0.01, 0.5))
     K_H = (hammer.p + 1) * hammer.M_H * hammer.v_H0**2 / (2 * deep ** (hammer.p + 1))
     assume(PARAMETERS["K_H"].lower <= K_H <= PARAMETERS["K_H"].upper)
@@ -169,7 +169,7 @@ def test_fast_path_is_the_papers_scheme_all_over_the_box(case):
 
 @pytest.mark.parametrize(("points", "quantity"), [(40, "displacement"), (100, "velocity")])
 def test_simulate_and_its_waveform(points, quantity):
-    """The public door with its own default window, on other grids, with a pickup between points."""
+    """The public function with its default window, on other grids, with a pickup between points."""
     rate, samples = 44_100.0, 1500
     slow = finite_difference.solve(STRING, HAMMER, WIDE, step=1 / rate, steps=samples, points=points).signals
     fast = model.simulate(
@@ -183,7 +183,7 @@ def test_simulate_and_its_waveform(points, quantity):
     assert relative(fast.pulse.hammer[:, 0] - fast.pulse.compression, slow.under_hammer[:n]) <= SIGNALS
 
 
-# --- would a wrong sign be seen? --------------------------------------------------------------------------------------
+# --- the comparison detects a wrong sign ------------------------------------------------------------------------------
 
 
 def _flipped_b2(string, second, one):

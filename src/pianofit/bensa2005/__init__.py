@@ -1,12 +1,14 @@
-"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005), in its order; no room is built on it.
+"""The methods of Bensa, Gipouloux and Kronland-Martinet (2005), in the order of the paper.
 
-- III, and the appendix: `scheme`, eq. 9 to 18 with their matrices, and the derivatives of A7 to A13: a witness that
-  shares nothing with the model, whose string and hammer are those of eq. 1 to 8, but the parameters' names.
-- IV.A, whose measurements are not public: `laboratory` makes some whose truth is known.
-- IV.B: eq. 19 in its bands, `spectral`, of a recording and of the string and hammer that are searched.
-- IV.C: `descent`, the gradient (1); `annealing` (2); `search`, the three steps by both; `recipes`, their door, and
-  `point`, the result of a search that gives no intervals.
-- III.C and V: `reproduce`, the page that tests the tables, figures and claims.
+No other package of pianofit depends on this one.
 
-Nothing is imported here, so that a measurement does not load what a search needs.
+- Section III and appendix: `finite_difference` has eq. 9 to 18 with their matrices, and the derivatives A7 to A13. It
+  is an independent check of `pianofit.model` (eq. 1 to 8) and shares only the parameters' names with it.
+- Section IV.A: `laboratory` makes measurements with known parameters. The paper's measurements are not public.
+- Section IV.B: `spectral_criterion` has eq. 19 in its bands.
+- Section IV.C: `descent` is the gradient method (1), `annealing` is (2), and `search` runs the three steps with both.
+  `recipes` is the entry point. `point_estimate` makes a result without intervals.
+- Sections III.C and V: `reproduce` makes the page that tests the tables, figures and claims.
+
+This module imports nothing, so that `laboratory` does not load the dependencies of `search`.
 """

@@ -1,12 +1,12 @@
-"""Two ways down in a box: the paper's gradient, and least squares to the floor of a basin.
+"""Two local minimisers in a box: the paper's gradient descent, and least squares.
 
-The paper's algorithm (IV.C.1) moves by an h with C + ∇C·h <= C. To first order that holds for every step against the
-gradient, and promises nothing of the cost itself: too long a step raises it. So each step must lower the cost by a
-share of what the slope foretells (Armijo, Pacific J. Math. 16 (1966) 1-3; along the projected gradient after Bertsekas,
-IEEE Trans. Autom. Control 21 (1976) 174-184). A step that does not is halved, one that does lets the next be longer.
-Coordinates are measured in widths of the box, so that a change of their units changes nothing.
+The paper's algorithm (IV.C.1) moves by an h with C + ∇C·h <= C. Every step against the gradient satisfies this to first
+order, but a long step can raise the cost. Each step must therefore lower the cost by a share of the predicted decrease
+(Armijo, Pacific J. Math. 16 (1966) 1-3; along the projected gradient after Bertsekas, IEEE Trans. Autom. Control 21
+(1976) 174-184). After a rejected step the step size is halved, after an accepted one it is increased. Coordinates are
+measured in widths of the box, so that the result does not depend on their units.
 
-Least squares are SciPy's, a dogleg in the box (Voglis and Lagaris 2004): it lays points on the edges exactly.
+Least squares use SciPy's dogleg in the box (Voglis and Lagaris 2004), which places points exactly on the edges.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from scipy.optimize import least_squares
 
 __all__ = ["Descended", "LeastSquares", "gradient_descent"]
 
-# The share of the foretold decrease that a step must bring. Below 1/2, so that a parabola's exact minimum is accepted.
+# Share of the predicted decrease that a step must reach. Below 1/2, so that the exact minimum of a parabola passes.
 SHARE = 0.3
-# Factors on the next step after one that did not bring it, and after one that did.
+# Factors on the step size after a rejected and after an accepted step.
 SHORTER = 0.5
 LONGER = 1.5
 # The first step moves the coordinate with the steepest slope by this much, box widths.
 FIRST = 0.01
-# A step that moves nothing by more than this is none, box widths.
+# A step that moves every coordinate by at most this does not count as a step, box widths.
 LEAST = 1e-13
 
 
 class Descended(NamedTuple):
-    """Where a descent ended."""
+    """Result of a descent."""
 
     z: np.ndarray  # [D]
     cost: float
@@ -44,21 +44,21 @@ def gradient_descent(
     value_and_gradient: Callable, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, iterations: int,
     tolerance: float = 1e-9,
 ) -> Descended:  # fmt: skip
-    """Lower `value_and_gradient(z [D]) -> (cost, gradient [D])` from `z`, by one evaluation in each iteration.
+    """Minimise `value_and_gradient(z [D]) -> (cost, gradient [D])` from `z`, with one evaluation in each iteration.
 
-    Costs never rise, and no point outside `lower` <= z <= `upper` [D] is tried. A point at which cost or gradient is
-    not finite counts as infinitely bad; a start on such a point stays there.
+    The cost never rises, and every trial point lies in `lower` <= z <= `upper` [D]. A point at which cost or gradient
+    is not finite counts as infinitely bad. A start at such a point stays there.
 
     Parameters
     ----------
-    lower, upper : finite; where they are equal the coordinate is held.
-    tolerance : it has converged when a step of a length that fits the slope gains less than this part of the cost, or
-        when no step moves it.
+    lower, upper : finite. A coordinate is fixed where they are equal.
+    tolerance : the descent has converged when an accepted step gains less than this part of the cost, after at least
+        one step was rejected. It has also converged when no step moves the point.
     """
     z, size = np.clip(z, lower, upper), upper - lower
     cost, gradient = _evaluate(value_and_gradient, z)
     step = FIRST * _longest(z, gradient, lower, upper)
-    fitted, evaluations = False, 1  # whether a step was once too long, so that its length is the slope's
+    limited, evaluations = False, 1  # limited: a step was once too long, so the step size fits the slope
     for _ in range(iterations):
         trial = np.clip(z - step * size**2 * gradient, lower, upper)
         if not np.isfinite(cost) or (np.abs(trial - z) <= LEAST * size).all():
@@ -67,18 +67,18 @@ def gradient_descent(
         evaluations += 1
         if new < cost and new <= cost - SHARE * float(gradient @ (z - trial)):
             gain, z, cost, gradient = cost - new, trial, new, slope
-            if fitted and gain <= tolerance * abs(cost):
+            if limited and gain <= tolerance * abs(cost):
                 return Descended(z, cost, True, evaluations)
             step *= LONGER
         else:
-            fitted = True
+            limited = True
             step *= SHORTER
         step = min(step, _longest(z, gradient, lower, upper))
     return Descended(z, cost, False, evaluations)
 
 
 def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Return the step that moves the steepest coordinate through the whole box, those on an edge left out."""
+    """Return the step size that moves the steepest coordinate, of those not at an active bound, through the box."""
     active = ((z <= lower) & (gradient > 0)) | ((z >= upper) & (gradient < 0))
     steepest = float(np.abs(np.where(active, 0.0, gradient * (upper - lower))).max(initial=0.0))
     return 1.0 / steepest if steepest > 1e-300 else 0.0
@@ -91,22 +91,22 @@ def _evaluate(value_and_gradient: Callable, z: np.ndarray) -> tuple[float, np.nd
 
 
 class LeastSquares(NamedTuple):
-    """A cost that is half a sum of squares, of many points at once, in a box."""
+    """A cost in a box that is half a sum of squares, for batches of points."""
 
     costs: Callable[[np.ndarray], np.ndarray]  # z [n, D] -> [n]
     residuals: Callable[[np.ndarray], tuple[np.ndarray, ...]]  # z [n, D] -> [n, bins] and [n, bins, D]
-    lower: np.ndarray  # [D]; where it is `upper` the coordinate is held
+    lower: np.ndarray  # [D]; a coordinate is fixed where it equals `upper`
     upper: np.ndarray
 
     def slope(self, z: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost of `z` [D], and its gradient [D]."""
+        """Return the cost at `z` [D] and its gradient [D]."""
         residual, jacobian = (x[0] for x in self.residuals(z[None]))
         return 0.5 * float(residual @ residual), residual @ jacobian
 
     def finished(self, z: np.ndarray, *, evaluations: int, tolerance: float = 1e-7) -> Descended:
-        """Least squares from one point [D] in the box, to where a step gains less than `tolerance` of the cost.
+        """Minimise by least squares from one point [D], until a step gains less than `tolerance` of the cost.
 
-        A point without finite residuals stays where it is.
+        A point without finite residuals is returned unchanged.
         """
         z, free = np.clip(z, self.lower, self.upper), self.upper > self.lower
 
@@ -121,7 +121,7 @@ class LeastSquares(NamedTuple):
         cost = 0.5 * float(residual @ residual)
         if not (np.isfinite(cost) and free.any()):
             return Descended(z, cost, False, 1)
-        # A function, too, is what SciPy takes for a Jacobian; its annotation says str.
+        # SciPy accepts a function here, but its annotation allows only str.
         slopes: Any = lambda part: at(part.tobytes())[1]  # noqa: E731
         end = least_squares(
             lambda part: at(part.tobytes())[0], z[free], slopes, method="dogbox", x_scale="jac",

@@ -1,39 +1,38 @@
-"""The paper's own scheme, grid and matrices and all, and its appendix: the witness for the table of modes.
+"""The paper's own finite-difference scheme and its appendix: an independent check of the modal model.
 
 The string is N inner points x_i = i h, h = L/(N + 1); the hammer is one more, the last. The state (y_s, v_s, y_H, v_H)
-(paper eq. 9-14) is stepped by eq. 16, with the differences of eq. 17 and 18. Lines are multiplied by the mass they
-move, which makes the matrices symmetric; with a = δt/2 and primes for the values one step later:
+(paper eq. 9-14) is stepped by eq. 16, with the differences of eq. 17 and 18. Each equation of motion is multiplied by
+its mass, which makes the matrices symmetric. With a = δt/2 and primes for the values one step later:
 
     M = m on the string, M_H for the hammer     K = m (κ² D₄ - c² D₂)     R = 2m (b₁ - b₂ D₂)     m = M_S/(N + 1)
     y' = y + a (v' + v)        M (v' - v) = -a [K (y' + y) + R (v' + v) + b (F' + F)]        u = b·y    u̇ = b·v
     F = K_H u^p (1 + μ u̇)  where u > 0, and never below 0;  F = 0 elsewhere
 
-The row b reads the compression, y_H - y_s, where the paper prints y_s - y_H: +1 for the hammer and minus the window's
-weights for the string. The same row pushes them apart, so that the felt takes from the string exactly the power it
-gives. Where the felt is pressed, Newton-Raphson solves the whole nonlinear system for v', and with it for y', by
+The row b reads the compression y_H - y_s, where the paper prints y_s - y_H. It is +1 for the hammer and minus the
+window's weights for the string. The force acts through the same row, so that the scheme conserves the exchanged power.
+While the felt is compressed, Newton-Raphson solves the whole nonlinear system for v', and with it for y', by
 
     J = M + aR + a²K + a (a ∂F/∂u + ∂F/∂u̇) b bᵀ
 
-assembled and factored anew in each iteration; where nothing is pressed, J is its constant part. Whether the felt is
-pressed is asked at every step, so a hammer may come back at any time. No modes, no kernel, no reduction to one
-equation: nothing is shared with the rest of the model but the parameters' names.
+assembled and factored again in each iteration. Without contact, J is its constant part. Contact is tested at every
+step, so a recontact may occur at any time. The scheme uses no modes, no kernel and no reduction to one equation. It
+shares only the parameters' names with the rest of the model.
 
 **The appendix.** Differentiating eq. 9-14 by a parameter z gives a linear system for the derivatives of the state
-(A7-A13), driven by the state itself. It is stepped by the scheme that steps the state, so that the result is the exact
-derivative of what is computed here, and no approximation to it. With dots for derivatives by z, and ∂ for those of a
-coefficient alone:
+(A7-A13), driven by the state itself. The same scheme steps both, so that the result is the exact derivative of the
+discrete solution. With dots for derivatives by z, and ∂ for those of a coefficient alone:
 
     ẏ' = ẏ + a (v̇' + v̇)                                                                            (A7, A9)
     M (v̇' - v̇) = -a [K (ẏ' + ẏ) + R (v̇' + v̇) + ∂K (y' + y) + ∂R (v' + v) + b (Ḟ' + Ḟ) + M ∂(1/M) b (F' + F)]
                                                                                                     (A8, A10)
     Ḟ' = ∂F/∂u b·ẏ' + ∂F/∂u̇ b·v̇' + ∂F,    all at u', u̇'
 
-The string's masses are known, and ∂(1/M) is -1/M_H² in the hammer's row for z = M_H. Sorted by what is not yet known,
+The string's masses are given, and ∂(1/M) is -1/M_H² in the hammer's row for z = M_H. Solved for the unknown v̇',
 
     J v̇' = (M - aR - a²K) v̇ - 2aK ẏ - a b [Ḟ + ∂F/∂u b·(ẏ + a v̇) + ∂F] - a [∂K (y' + y) + ... + M ∂(1/M) b (F' + F)]
 
-with J at the step's solution: one factor, and one solve with it for each parameter. At t = 0 all derivatives vanish but
-that of v_H by v_H0, which is 1 (A11, A13); initial shapes do not depend on the parameters.
+with J at the solution of the step: one factorisation, and one solve with it for each parameter. At t = 0 all
+derivatives vanish except that of v_H by v_H0, which is 1 (A11, A13). Initial shapes do not depend on the parameters.
 """
 
 from __future__ import annotations
@@ -48,20 +47,20 @@ from ..parameters import FIT_NAMES, Geometry, Hammer, String
 
 __all__ = ["Reference", "Signals", "solve"]
 
-# Newton's iterations; into a light touch each takes only 1/p off the error until it turns quadratic.
+# Newton iterations. At a very small compression each removes only 1/p of the error until convergence is quadratic.
 MOST_ITERATIONS = 500
-# Solved: what is left of every line, over the sum of the sizes of its terms.
+# Converged: residual of every equation, relative to the sum of the magnitudes of its terms.
 ROUNDING = 8 * float(np.finfo(float).eps)
 
 
 class Signals(NamedTuple):
-    """What is read at every step, or its derivatives by one parameter. Units: SI."""
+    """Outputs of every step, or their derivatives by one parameter. Units: SI."""
 
     velocity: np.ndarray  # v_s at the pickup [steps], m/s
     displacement: np.ndarray  # y_s at the pickup [steps], m
     under_hammer: np.ndarray  # y_s through the window [steps], m
     force: np.ndarray  # F^n [steps], N
-    compression: np.ndarray  # u^n [steps], m; negative when apart
+    compression: np.ndarray  # u^n [steps], m; negative without contact
     hammer: np.ndarray  # y_H, m, and v_H, m/s [steps, 2]
 
 
@@ -71,16 +70,16 @@ class Reference(NamedTuple):
     time: np.ndarray  # n δt [steps], s
     signals: Signals
     string_energy: np.ndarray  # ½ Σ m v² + ½ y·K y [steps], J
-    iterations: np.ndarray  # of Newton-Raphson [steps]; 0 where nothing is pressed
+    iterations: np.ndarray  # of Newton-Raphson [steps]; 0 without contact
     window: np.ndarray  # weights of the contact at the inner points [N], of sum 1
     derivatives: dict[str, Signals]  # by each of the nine parameters, if asked for: the signal's unit over its own
 
 
 class State(NamedTuple):
-    """String and hammer at one step; size = N + 1, the hammer last. Or its derivatives, by `FIT_NAMES`, a column each.
+    """String and hammer at one step, the hammer last, size = N + 1; or the derivatives, one column per parameter.
 
-    The differences are carried along: a fourth difference of y would magnify its rounding by (N + 1)⁴ and hide κ's
-    derivative.
+    The state includes the differences, because a fourth difference of y would magnify its rounding by (N + 1)⁴ and hide
+    the derivative by κ.
     """
 
     displacement: np.ndarray  # y [size], m, or ẏ [size, 9]
@@ -115,11 +114,11 @@ def solve(
 
     Parameters
     ----------
-    string, hammer : also outside the box of `PARAMETERS`, such as without losses; K_H = 0 is a string left alone.
+    string, hammer : also outside the box of `PARAMETERS`, such as without losses; K_H = 0 is a string without hammer.
     step : δt, s.
     points : N, the inner points of the grid.
-    window : of the contact: weights at the inner points [points], which need not be normalised; a raised cosine of the
-        geometry's width if None.
+    window : weights of the contact window at the inner points [points], which need not be normalised; a raised cosine
+        of the geometry's width if None.
     displacement, velocity : y_s0, m, and v_s0, m/s, at the inner points [points]; at rest if None.
     derivatives : solve the appendix's system too (A7-A13).
 
@@ -135,33 +134,33 @@ def solve(
     y_s, v_s = (np.zeros(points) if given is None else given for given in (displacement, velocity))
     y, v = np.append(y_s, weights @ y_s), np.append(v_s, float(hammer.v_H0))
     state = State(y, v, 0.0, scheme.second @ y, scheme.fourth @ y)
-    nothing = np.zeros((points + 1, len(FIT_NAMES)))
-    slopes = State(nothing, nothing.copy(), nothing[0], nothing, nothing)
+    zeros = np.zeros((points + 1, len(FIT_NAMES)))
+    slopes = State(zeros, zeros.copy(), zeros[0], zeros, zeros)
     slopes.velocity[-1, FIT_NAMES.index("v_H0")] = 1.0  # A11, A13
-    run, by, iterations = [state], [slopes], [0]
+    states, tangents, iterations = [state], [slopes], [0]
     for _ in range(steps - 1):
-        state, count = _advance(scheme, run[-1])
+        state, count = _advance(scheme, states[-1])
         if derivatives:
-            by.append(differentiated(scheme, run[-1], state, by[-1]))
-        run.append(state)
+            tangents.append(differentiated(scheme, states[-1], state, tangents[-1]))
+        states.append(state)
         iterations.append(count)
-    slope = _read(scheme, by)
-    named = {name: Signals(*(each[..., j] for each in slope)) for j, name in enumerate(FIT_NAMES) if derivatives}
-    energy = np.array([_energy(scheme, at) for at in run])
-    return Reference(step * np.arange(steps), _read(scheme, run), energy, np.array(iterations), weights, named)
+    slope = _read(scheme, tangents)
+    by_name = {name: Signals(*(x[..., j] for x in slope)) for j, name in enumerate(FIT_NAMES) if derivatives}
+    energy = np.array([_energy(scheme, state) for state in states])
+    return Reference(step * np.arange(steps), _read(scheme, states), energy, np.array(iterations), weights, by_name)
 
 
 # --- the grid ---------------------------------------------------------------------------------------------------------
 
 
 def raised_cosine(geometry: Geometry, points: int) -> np.ndarray:
-    """The contact's weights h ĝ(x - x0) at the inner points [points], of sum 1."""
+    """Weights h ĝ(x - x0) of the contact window at the inner points [points], of sum 1."""
     from_middle = np.arange(1, points + 1) * (geometry.length / (points + 1)) - geometry.strike_position
     inside = np.abs(from_middle) < geometry.width / 2
     if not inside.any():
         raise ParameterError(
-            f"points={points}: none lies under the window, {geometry.width} m wide around {geometry.strike_position} m; "
-            "use more points or a wider window"
+            f"points={points}: no point lies in the contact window, {geometry.width} m wide around "
+            f"{geometry.strike_position} m; use more points or a wider window"
         )
     weights = np.where(inside, 1 + np.cos(2 * np.pi * from_middle / geometry.width), 0.0)
     return weights / weights.sum()
@@ -173,19 +172,19 @@ def second_difference(points: int, h: float) -> np.ndarray:
 
 
 def fourth_difference(points: int, h: float) -> np.ndarray:
-    """D₄ [points, points] (eq. 18); the virtual nodes y₋₁ = -y₁ and y_(N+2) = -y_N are the hinges."""
+    """D₄ [points, points] (eq. 18); the virtual nodes y₋₁ = -y₁ and y_(N+2) = -y_N model hinged ends."""
     inner = toeplitz(np.append([6.0, -4.0, 1.0], np.zeros(points - 3)))
     inner[[0, -1], [0, -1]] -= 1.0
     return inner / h**4
 
 
 def stiffness(string: String, second, fourth):
-    """K/m, 1/s²: minus what the displacements do in eq. 10."""
+    """K/m, 1/s²: minus the factor of the displacements in eq. 10."""
     return string.kappa**2 * fourth - string.c**2 * second
 
 
 def losses(string: String, second, one):
-    """R/m, 1/s: minus what the velocities do in eq. 10."""
+    """R/m, 1/s: minus the factor of the velocities in eq. 10."""
     return 2 * string.b1 * one - 2 * string.b2 * second
 
 
@@ -195,17 +194,17 @@ def compression_row(weights: np.ndarray) -> np.ndarray:
 
 
 def pickup_row(geometry: Geometry, points: int) -> np.ndarray:
-    """The row [points] that reads x_m: a point of the grid itself, and between points the sines through all of them."""
+    """Row [points] that reads the displacement at x_m: exact at grid points, sine interpolation between them."""
     k = np.pi * np.arange(1, points + 1)
     sines = np.sin(np.outer(k, np.arange(1, points + 1)) / (points + 1))
     return np.sin(k * (geometry.pickup / geometry.length)) @ sines * (2 / (points + 1))
 
 
 def assemble(string: String, hammer: Hammer, geometry: Geometry, step: float, weights: np.ndarray) -> Scheme:
-    """The scheme for a contact of these weights [points]."""
+    """Return the scheme for contact weights [points]."""
     points, a = weights.size, step / 2
     h, m = geometry.length / (points + 1), geometry.mass / (points + 1)
-    # The hammer's own row and column are empty.
+    # The differences do not act on the hammer.
     second, fourth, one = (
         np.pad(x, (0, 1)) for x in (second_difference(points, h), fourth_difference(points, h), np.eye(points))
     )
@@ -235,24 +234,24 @@ def elastic_pull(scheme: Scheme, state: State) -> np.ndarray:
     return (scheme.string_mass * stiffness(scheme.string, state.second, state.fourth).T).T
 
 
-def _known(scheme: Scheme, old: State) -> np.ndarray:
-    """What the step's end does not change: the terms of y, v and F."""
+def _explicit_terms(scheme: Scheme, old: State) -> np.ndarray:
+    """Terms of y, v and F at the start of the step."""
     pushed = np.multiply.outer(scheme.press, old.force)
     return scheme.explicit @ old.velocity - scheme.half_step * (2 * elastic_pull(scheme, old) + pushed)
 
 
 def _stepped(scheme: Scheme, old: State, velocity: np.ndarray, force: np.ndarray | float) -> State:
-    """The state one step later, of these velocities and this force."""
+    """Return the state one step later, given its velocities and force."""
     moved = scheme.half_step * (velocity + old.velocity)
     second, fourth = old.second + scheme.second @ moved, old.fourth + scheme.fourth @ moved
     return State(old.displacement + moved, velocity, force, second, fourth)
 
 
 def _advance(scheme: Scheme, old: State) -> tuple[State, int]:
-    """The state one step later (eq. 16), and how many iterations it took."""
-    known = _known(scheme, old)
+    """Return the state one step later (eq. 16) and the number of iterations."""
+    known = _explicit_terms(scheme, old)
     free = _stepped(scheme, old, cho_solve(scheme.factor, known, check_finite=False), 0.0)
-    # The force only ever parts the two: what does not touch without one does not touch.
+    # The force is repulsive: without compression at zero force the felt does not touch.
     if scheme.press @ free.displacement <= 0:
         return free, 0
     velocity, force, count = _newton_raphson(scheme, old, known)
@@ -260,9 +259,9 @@ def _advance(scheme: Scheme, old: State) -> tuple[State, int]:
 
 
 def _newton_raphson(scheme: Scheme, old: State, known: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """The velocities [size] that solve the whole system to rounding, the force, and the iterations it took.
+    """Return the velocities [size] that solve the whole system to rounding, the force, and the number of iterations.
 
-    The force is convex and rising along b: from the first iterate on the far side the rest fall onto the solution.
+    The force is convex and rising along b, so the iterates converge monotonically after the first overshoot.
     """
     a, b, hammer = scheme.half_step, scheme.press, scheme.hammer
     velocity = old.velocity
@@ -275,13 +274,13 @@ def _newton_raphson(scheme: Scheme, old: State, known: np.ndarray) -> tuple[np.n
         pressed = force + np.abs(b) @ (by_u * np.abs(displacement) + by_du * np.abs(velocity))
         size = np.abs(known) + np.abs(scheme.implicit) @ np.abs(velocity) + a * pressed * np.abs(b)
         if np.all(np.abs(residual) <= ROUNDING * size):
-            # The force that goes with these velocities; anew from u, a felt of 1e12 N/m would magnify u's rounding.
+            # Force by linearisation: computed from u, a felt of 1e12 N/m would magnify the rounding of u.
             return velocity, max(force + (a * by_u + by_du) * float(b @ step), 0.0), count
     raise FitError(f"K_H={hammer.K_H:g} N/m^p, p={hammer.p:g}: Newton-Raphson does not converge; use a shorter step")
 
 
 def _factor(scheme: Scheme, by_u: float, by_du: float) -> Any:
-    """Cholesky's factor of J for a felt of these slopes."""
+    """Cholesky factor of J for the slopes of the force by u and by u̇."""
     stiff = scheme.half_step * (scheme.half_step * by_u + by_du)
     if stiff == 0:
         return scheme.factor
@@ -292,13 +291,13 @@ def _factor(scheme: Scheme, by_u: float, by_du: float) -> Any:
 
 
 def differentiated(scheme: Scheme, old: State, new: State, last: State) -> State:
-    """The derivatives one step later than `last`, of the step from `old` to `new`."""
+    """Return the derivatives one step after `last`, for the step from `old` to `new`."""
     a, b = scheme.half_step, scheme.press
     u, du = float(b @ new.displacement), float(b @ new.velocity)
     _, by_u, by_du = felt(u, du, scheme.hammer)
     by_felt = felt_derivatives(u, du, float(new.force), scheme.hammer)
     pushed = by_u * (b @ (last.displacement + a * last.velocity)) + by_felt
-    known = _known(scheme, last) - a * np.outer(b, pushed)
+    known = _explicit_terms(scheme, last) - a * np.outer(b, pushed)
     known += coefficient_terms(scheme, old, new)
     velocity = cho_solve(_factor(scheme, by_u, by_du), known, check_finite=False)
     moved = _stepped(scheme, last, velocity, last.force)
@@ -306,7 +305,7 @@ def differentiated(scheme: Scheme, old: State, new: State, last: State) -> State
 
 
 def felt_derivatives(u: float, du: float, force: float, hammer: Hammer) -> np.ndarray:
-    """∂F [9], F^(j) of A8 and A10: F = K_H u^p (1 + μ u̇) by K_H, μ and p at a fixed u and u̇."""
+    """∂F [9], F^(j) of A8 and A10: derivatives of F = K_H u^p (1 + μ u̇) by K_H, μ and p at fixed u and u̇."""
     by = dict.fromkeys(FIT_NAMES, 0.0)
     if u > 0 and force > 0:
         by["K_H"] = force / hammer.K_H
@@ -331,7 +330,7 @@ def coefficient_terms(scheme: Scheme, old: State, new: State) -> np.ndarray:
     return np.stack(list(by.values()), axis=1)
 
 
-# --- what comes out ---------------------------------------------------------------------------------------------------
+# --- outputs ----------------------------------------------------------------------------------------------------------
 
 
 def _read(scheme: Scheme, states: list[State]) -> Signals:
@@ -343,5 +342,5 @@ def _read(scheme: Scheme, states: list[State]) -> Signals:
 
 
 def _energy(scheme: Scheme, state: State) -> float:
-    """Of the string, J."""
+    """Energy of the string, J."""
     return 0.5 * float(scheme.string_mass @ state.velocity**2 + state.displacement @ elastic_pull(scheme, state))

@@ -1,4 +1,4 @@
-"""A result without intervals: one point that another search has found, and what may be said of it."""
+"""A result without intervals, from the point where one of the paper's searches ended."""
 
 from __future__ import annotations
 
@@ -39,51 +39,57 @@ def point_result(
     opening: str,
     messages: Sequence[str],
 ) -> Result:
-    """What is found at `string` and `hammer`, in the form of every result.
+    """Return the `Result` at `string` and `hammer`.
 
     Parameters
     ----------
-    delay : s, from the hammer's first contact to the recording's onset.
-    at_bound : names of parameters that ended on an edge of their range.
-    opening, messages : what is said of the search itself.
+    delay : time from the hammer's first contact to the recording's onset, s.
+    at_bound : names of parameters that ended at a search bound.
+    opening, messages : statements about the search itself.
     """
-    listener, values = RecordingComparison.of(recording, analysis, start.scale), start.values | start.initial
+    comparison, values = RecordingComparison.of(recording, analysis, start.scale), start.values | start.initial
     begins = None if start.scale is None else recording.onset - round(delay * recording.rate)
     first = Note(
         String(*(values[n] for n in String._fields)), Hammer(*(values[n] for n in Hammer._fields)), start.geometry,
         start.quantity, 1.0, None,
     )  # fmt: skip
     before, after = (
-        listener.play(note, listener.gain, begins, _levels(note, note.strike(recording.rate), analysis))
+        comparison.play(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
         for note in (first, first._replace(string=string, hammer=hammer))
     )
-    heard = listener.compared(before, after, {"initial_db": before.level, "fitted_db": after.level})
+    compared = comparison.compared(before, after, {"initial_db": before.level, "fitted_db": after.level})
     parameters = _parameters(start, (*string, *hammer), values, at_bound)
     names = (*(name for name in names_of(start.law) if name in parameters), "v_H0")
     document = to_document(
-        start, [heard], 0, [recording_entry(heard, parameters["v_H0"], start.scale is not None)],
+        start, [compared], 0, [recording_entry(compared, parameters["v_H0"], start.scale is not None)],
         Covariance(names, np.zeros((len(names), len(names)))), recipe=recipe, seed=seed, converged=converged,
         claims=opening,
-        messages=[*_said(heard.criterion, converged, at_bound, messages), *recording.warnings, *analysis.warnings],
+        messages=[
+            *_statements(compared.criterion, converged, at_bound, messages), *recording.warnings, *analysis.warnings,
+        ],
         invariants={}, parameters=parameters, minima=[],
         diagnostics={"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
     )  # fmt: skip
-    return Result(document, (heard,), 0, ((after.note,),), (1.0,))
+    return Result(document, (compared,), 0, ((after.note,),), (1.0,))
 
 
-def _said(criterion: dict, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
-    """What to beware of."""
+def _statements(criterion: dict, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
+    """Warnings about the result."""
     worse = worse_bands(criterion)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
-    said = [*([] if converged else [STOPPED]), *messages]
-    said += [f"The paper's criterion is no lower than at the start: {', '.join(worse)}."] * bool(worse)
-    said += [AT_EDGE.format(", ".join(at_bound))] * bool(at_bound)
-    said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
-    return said
+    statements = [*([] if converged else [STOPPED]), *messages]
+    statements += [f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}."] * bool(
+        worse
+    )
+    statements += [AT_EDGE.format(", ".join(at_bound))] * bool(at_bound)
+    statements += [f"No partial above the noise in {' and '.join(missing)}. The next band was used instead."] * bool(
+        missing
+    )
+    return statements
 
 
 def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarray:
-    """Levels of the recording's partials by the model, dB [partials]."""
+    """Levels that the model gives the recording's partials, dB [partials]."""
     pole = np.asarray(simulation.modes.pole)
     delay = arrival(note.string, note.geometry, note.quantity)
     decay = -np.real(pole)
@@ -93,9 +99,9 @@ def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarra
 
 
 def _parameters(
-    start: InitialValues, found: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]
+    start: InitialValues, final: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]
 ) -> dict:
-    """Every parameter with value, unit and status."""
+    """Value, unit and status of every parameter."""
 
     def status(name: str) -> str:
         if name in start.fixed:
@@ -108,7 +114,7 @@ def _parameters(
 
     table = {
         name: fixed_entry(value, name, status(name)) | {"initial": float(initial[name])}
-        for name, value in zip(FIT_NAMES, found, strict=True)
+        for name, value in zip(FIT_NAMES, final, strict=True)
     }
     for name, value in (("x0", start.geometry.strike_position), ("width", start.geometry.width)):
         table[name] = fixed_entry(value, name, "given" if start.fixed.get(name) == "fixed" else "assumed")

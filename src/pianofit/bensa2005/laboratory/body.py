@@ -1,14 +1,14 @@
-"""The string with all it hangs on, as one linear system of second order.
+"""String, polarisations and bridge as one linear system of second order.
 
-Each polarisation is a field `y(x, t) = Σ q_k sin(β_k x) + w x/L`: the hinged string's sines, and a ramp that follows
-the bridge's displacement `w` at x = L. Kinetic, elastic and dissipated energy of these fields and of the bridge's
-resonators are quadratic forms; Lagrange's equations then read
+Each polarisation is a field `y(x, t) = Σ q_k sin(β_k x) + w x/L`: the sines of the hinged string, and a ramp that
+follows the bridge displacement `w` at x = L. The kinetic, elastic and dissipated energies of these fields and of the
+bridge resonators are quadratic forms. Lagrange's equations then read
 
     M ẍ + C ẋ + K x = b F,      M, K positive definite, C positive semidefinite
 
-with the same `b` for pushing and for reading what is under the hammer. In coordinates ξ = (Gᵀx, Lᵀẋ) with K = G Gᵀ and
-M = L Lᵀ the energy is ½|ξ|², and d/dt ½|ξ|² = F bᵀẋ - ẋᵀC ẋ: passive, whatever the numbers. Its eigenvectors turn the
-system into damped exponentials.
+The same `b` applies the force and reads the displacement under the hammer. In coordinates ξ = (Gᵀx, Lᵀẋ) with K = G Gᵀ
+and M = L Lᵀ the energy is ½|ξ|², and d/dt ½|ξ|² = F bᵀẋ - ẋᵀC ẋ. The system is therefore passive for all values. Its
+eigenvectors transform it into damped exponentials.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ __all__ = ["Axis", "Body", "make_axes", "make_body", "window_weights"]
 
 
 class Axis(NamedTuple):
-    """One polarisation: a string, and how much of the hammer's direction lies along it."""
+    """One polarisation: a string, and the component of the hammer's direction along it."""
 
     string: String
     share: float
 
 
 class Body(NamedTuple):
-    """Damped exponentials ż = λ z + β F, one a row, and the energy coordinates ξ = Re(vectors z) behind them."""
+    """Damped exponentials ż = λ z + β F, one per row, and their energy coordinates ξ = Re(vectors z)."""
 
     poles: np.ndarray  # λ, complex [rows], 1/s; Im ≥ 0
     drive: np.ndarray  # β, complex [rows], √J/(N s)
-    vectors: np.ndarray  # complex [2 dof, rows]; conjugate rows are counted in
+    vectors: np.ndarray  # complex [2 dof, rows]; they include the conjugate rows
     under: np.ndarray  # real [2 dof]: displacement under the hammer = under · ξ, m
     pickup: np.ndarray  # real [2 dof]: velocity at the pickup along the hammer's direction = pickup · ξ, m/s
     force: np.ndarray  # real [2 dof]: ξ̇ = matrix ξ + force F
@@ -46,23 +46,23 @@ class Body(NamedTuple):
 
 
 def make_axes(string: String, polarisation: bool) -> tuple[Axis, ...]:
-    """The string alone, or turned by `ANGLE` and with its second axis."""
+    """Return one polarisation along the hammer, or two that are turned by `ANGLE`."""
     if not polarisation:
         return (Axis(string, 1.0),)
-    turn, sharp = math.radians(ANGLE), 2 ** (CENTS / 1200)
-    second = String(string.c * sharp, string.kappa * sharp, string.b1 * SLOWER, string.b2 * SLOWER)
-    return Axis(string, math.cos(turn)), Axis(second, -math.sin(turn))
+    angle, ratio = math.radians(ANGLE), 2 ** (CENTS / 1200)
+    second = String(string.c * ratio, string.kappa * ratio, string.b1 * SLOWER, string.b2 * SLOWER)
+    return Axis(string, math.cos(angle)), Axis(second, -math.sin(angle))
 
 
 @lru_cache(maxsize=8)
 def make_body(axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...]) -> Body:
-    """The whole system; without `resonators` the string's end is at rest."""
+    """Return the whole system. Without `resonators` the end of the string is at rest."""
     angle, shares = np.radians([r.direction for r in resonators]), np.array([axis.share for axis in axes])
-    # How far a unit motion of each resonator moves the bridge along each axis [axes, resonators].
+    # Bridge displacement along each axis for unit displacement of each resonator [axes, resonators].
     moved = np.stack([np.cos(angle), np.sin(angle)])[: len(axes)]
 
     def across(sines: np.ndarray, at: float) -> np.ndarray:
-        """What weighs the motion along the hammer's direction at one position [dof]."""
+        """Weights of the coordinates in the displacement along the hammer's direction at one position [dof]."""
         return np.concatenate([*(share * sines for share in shares), at / geometry.length * shares @ moved])
 
     beta = np.arange(1, modes + 1) * (math.pi / geometry.length)
@@ -83,18 +83,18 @@ def window_weights(geometry: Geometry, modes: int) -> np.ndarray:
 def _forms(
     axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...], moved: np.ndarray
 ) -> list[np.ndarray]:
-    """M, C, K [dof, dof] of all modes, axis by axis, and the resonators."""
-    # Each field by itself has its modes and its ramp; the ramps follow the resonators.
+    """M, C, K [dof, dof] of all modes, axis by axis, and of the resonators."""
+    # Each field has its modes and a ramp. The resonators determine the ramps.
     inner = len(axes) * modes
-    toward = np.zeros((len(axes) * (modes + 1), inner + len(resonators)))
-    toward[:, :inner] = block_diag(*(np.eye(modes + 1)[:, :modes] for _ in axes))
-    toward[modes :: modes + 1, inner:] = moved
+    transform = np.zeros((len(axes) * (modes + 1), inner + len(resonators)))
+    transform[:, :inner] = block_diag(*(np.eye(modes + 1)[:, :modes] for _ in axes))
+    transform[modes :: modes + 1, inner:] = moved
     frequency, mass, quality, _ = np.array(resonators).reshape(-1, len(Resonator._fields)).T
     omega = 2 * math.pi * frequency
     bridge = (mass, mass * omega / quality, mass * omega**2)
     fields = zip(*(_field_forms(axis.string, geometry, modes) for axis in axes), strict=True)
     return [
-        toward.T @ np.asarray(block_diag(*parts)) @ toward + np.diag([*np.zeros(inner), *own])
+        transform.T @ np.asarray(block_diag(*parts)) @ transform + np.diag([*np.zeros(inner), *own])
         for parts, own in zip(fields, bridge, strict=True)
     ]
 
@@ -112,18 +112,18 @@ def _field_forms(string: String, geometry: Geometry, modes: int) -> tuple[np.nda
 
 
 def _exponentials(forms: list[np.ndarray], push: np.ndarray, read: np.ndarray) -> Body:
-    """The system in energy coordinates, and its eigenvectors."""
+    """Return the system in energy coordinates, with its eigenvectors."""
     mass, loss, stiffness = forms
     low, stiff = cholesky(mass, lower=True), cholesky(stiffness, lower=True)
-    turn = solve_triangular(low, stiff, lower=True)  # L⁻¹ G
+    coupling = solve_triangular(low, stiff, lower=True)  # L⁻¹ G
     loss = solve_triangular(low, solve_triangular(low, loss, lower=True).T, lower=True)
-    none = np.zeros(push.size)
-    matrix = np.block([[np.zeros_like(loss), turn.T], [-turn, -(loss + loss.T) / 2]])
-    force = np.concatenate([none, solve_triangular(low, push, lower=True)])
+    zeros = np.zeros(push.size)
+    matrix = np.block([[np.zeros_like(loss), coupling.T], [-coupling, -(loss + loss.T) / 2]])
+    force = np.concatenate([zeros, solve_triangular(low, push, lower=True)])
     poles, vectors = np.linalg.eig(matrix)
     drive = np.linalg.solve(vectors, force)
     upper = np.imag(poles) >= 0
     twice = np.where(np.imag(poles[upper]) > 0, 2.0, 1.0)
-    under = np.concatenate([solve_triangular(stiff, push, lower=True), none])
-    pickup = np.concatenate([none, solve_triangular(low, read, lower=True)])
+    under = np.concatenate([solve_triangular(stiff, push, lower=True), zeros])
+    pickup = np.concatenate([zeros, solve_triangular(low, read, lower=True)])
     return Body(poles[upper], drive[upper], vectors[:, upper] * twice, under, pickup, force, matrix)

@@ -1,7 +1,7 @@
-"""A measurement: one stroke, heard by the vibrometer, at a velocity that the sensor read a little wrong.
+"""Synthetic measurements: one stroke with the noise of the vibrometer and the reading of the velocity sensor.
 
-The demo's twin is one too, but struck by the program's own model: the paper's string and hammer with white noise, the
-contact computed at a far higher rate than any fit uses.
+The synthetic recording of the demo is computed by `pianofit.model` instead: the paper's string and hammer with white
+noise, with the contact computed at a far higher rate than in a fit.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ __all__ = [
 
 @dataclass(frozen=True)
 class SyntheticMeasurement:
-    """What the laboratory has that the paper's model has not. `Laboratory.ideal()` has none of it.
+    """Effects of the laboratory that the paper's model does not describe. `SyntheticMeasurement.ideal()` has none.
 
     Raises
     ------
     ParameterError
-        For a felt that it has not.
+        If `felt` is not one of the felt laws.
     """
 
-    polarisation: bool = True  # a second one
-    bridge: bool = True  # that gives way
+    polarisation: bool = True  # second polarisation
+    bridge: bool = True  # compliant support
     felt: str = "memory"  # memory | hunt-crossley (the paper's) | power (elastic)
-    noise_db: float | None = 60.0  # rms of the first second over that of the noise; None for no noise
-    velocity_error: float = 0.02  # standard deviation of what the sensor reads, relative
-    seconds: float = chosen.SECONDS  # after the stroke
-    contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
+    noise_db: float | None = 60.0  # rms of the first second relative to the noise; None for no noise
+    velocity_error: float = 0.02  # standard deviation of the sensor's reading, relative
+    seconds: float = chosen.SECONDS  # length after the stroke, s
+    contact_rate: float = chosen.CONTACT_RATE  # least number of contact steps per second, Hz
     eps: float = chosen.EPS  # of the relaxing felt
     tau: float = chosen.TAU  # s, of the relaxing felt
 
@@ -57,35 +57,35 @@ class SyntheticMeasurement:
 
     @classmethod
     def ideal(cls, **switches) -> SyntheticMeasurement:
-        """The paper's own model, but for the switches given."""
+        """Return the paper's own model, with only the effects in `switches`."""
         none = {"polarisation": False, "bridge": False, "felt": "hunt-crossley", "noise_db": None, "velocity_error": 0}
         return cls(**(none | switches))
 
 
 class Measurement(NamedTuple):
-    """What was recorded, and what was behind it."""
+    """A synthetic recording with its true parameters."""
 
-    samples: np.ndarray  # as a file holds them, full scale = 1: silence, then the note
+    samples: np.ndarray  # as in a file, full scale = 1: silence, then the note
     rate: int  # Hz
     scale: float  # m/s at full scale
-    onset: int  # sample of the first touch
-    nominal_velocity: float  # what the sensor read, m/s
+    onset: int  # sample of the first contact
+    nominal_velocity: float  # reading of the sensor, m/s
     true: dict[str, float]  # the nine parameters; no mu for a relaxing felt
     clean: np.ndarray  # `samples` without noise
 
 
 def measure(lab: SyntheticMeasurement, velocity: float, seed: int = 0) -> Measurement:
-    """Strike with `velocity`, m/s, the true one; the same seed gives the same samples.
+    """Measure a stroke with the true hammer `velocity`, m/s. The same seed gives the same samples.
 
     Raises
     ------
     ParameterError
-        For a velocity at which the vibrometer hears nothing, or leaves its range.
+        For a velocity below the noise of the vibrometer or above its range.
     """
     if not chosen.SLOWEST <= velocity <= chosen.FASTEST:
         raise ParameterError(f"velocity={velocity!r} must be from {chosen.SLOWEST} to {chosen.FASTEST} m/s")
     body, stroke = stroke_of(lab, velocity)
-    # Streams of their own: switching one off leaves the other as it was.
+    # Separate random streams: noise and sensor do not affect each other.
     noise, sensor = (np.random.default_rng([stream, seed]) for stream in range(2))
     sound = ring(body, stroke, chosen.RATE, round(lab.seconds * chosen.RATE))
     true = chosen.by_name(chosen.FINAL) | {"mu": felt_of(lab).mu, "v_H0": velocity}
@@ -97,25 +97,25 @@ def measure(lab: SyntheticMeasurement, velocity: float, seed: int = 0) -> Measur
 
 
 def make_synthetic_recording(noise_db: float | None = 60.0, seed: int = 0) -> Measurement:
-    """The demo's measurement, by the model itself; the same seed gives the same samples.
+    """Return the synthetic recording of the demo, computed by `pianofit.model`. The same seed gives the same samples.
 
     Parameters
     ----------
-    noise_db : how far the noise's rms lies below that of the first second after the stroke; None for no noise.
+    noise_db : rms of the first second after the stroke relative to the noise, dB; None for no noise.
     """
-    from ...model import simulate  # by JAX, which the laboratory itself does without
+    from ...model import simulate  # imported here because it loads JAX
 
-    it, rate = chosen.FINAL, chosen.RATE
-    stroke = simulate(it.string, it.hammer, it.geometry, rate=rate, oversampling=chosen.TWIN_OVERSAMPLING)
+    final, rate = chosen.FINAL, chosen.RATE
+    stroke = simulate(final.string, final.hammer, final.geometry, rate=rate, oversampling=chosen.DEMO_OVERSAMPLING)
     sound, noise = stroke.waveform(rate, int(chosen.SECONDS * rate)), np.random.default_rng(seed).standard_normal
-    return _recorded(sound, chosen.TWIN_SCALE, noise_db, noise, float(it.hammer.v_H0), chosen.by_name(it))
+    return _recorded(sound, chosen.DEMO_SCALE, noise_db, noise, float(final.hammer.v_H0), chosen.by_name(final))
 
 
 def _recorded(
     sound: np.ndarray, scale: float, noise_db: float | None, noise: Callable[[int], np.ndarray], nominal: float,
     true: dict[str, float],
 ) -> Measurement:  # fmt: skip
-    """A `sound`, m/s, after some silence, with noise of rms 1 brought to its level."""
+    """Return a `sound`, m/s, after some silence and with `noise` (rms 1) at the level `noise_db`."""
     rate = chosen.RATE
     onset = round(chosen.LEAD * rate)
     samples = clean = np.pad(sound / scale, (onset, 0))
@@ -125,15 +125,15 @@ def _recorded(
     return Measurement(samples, rate, scale, onset, nominal, true, clean)
 
 
-def setup_text(scale: float = chosen.TWIN_SCALE, velocity: float | None = None, *, hold_velocity: bool = False) -> str:
-    """The `setup.toml` of a measurement, the demo's if nothing is said: what was known, and the paper's initial values.
+def setup_text(scale: float = chosen.DEMO_SCALE, velocity: float | None = None, *, hold_velocity: bool = False) -> str:
+    """Return the `setup.toml` of a measurement, by default of the demo: given values and the paper's initial values.
 
     Parameters
     ----------
     scale : m/s at digital full scale.
-    velocity : that the sensor read, m/s; the paper's initial value if None.
-    hold_velocity : it is held fixed, as `pianofit` does with a measured one; otherwise it is where the fit starts, as
-        in the paper.
+    velocity : reading of the sensor, m/s; the paper's initial value if None.
+    hold_velocity : if True, the velocity is fixed, as in `pianofit` for a measured velocity. Otherwise it is the
+        initial value of the fit, as in the paper.
     """
     g, values = chosen.FINAL.geometry, chosen.by_name(chosen.INITIAL) | ({} if velocity is None else {"v_H0": velocity})
     read = f"\n[[recording]]\nv_H0 = {values.pop('v_H0')!r}  # m/s, as the sensor read it\n" if hold_velocity else ""
@@ -157,15 +157,15 @@ scale = {scale}  # m/s at full scale
 
 
 def stroke_of(lab: SyntheticMeasurement, velocity: float) -> tuple[Body, Stroke]:
-    """The body that is struck, and the stroke."""
+    """Return the body and the stroke."""
     axes, resonators = make_axes(chosen.FINAL.string, lab.polarisation), chosen.RESONATORS if lab.bridge else ()
     body = make_body(axes, chosen.FINAL.geometry, chosen.MODES, resonators)
-    every = math.ceil(lab.contact_rate / chosen.RATE)
-    return body, strike(body, felt_of(lab), chosen.FINAL.hammer.M_H, velocity, every * chosen.RATE)
+    oversampling = math.ceil(lab.contact_rate / chosen.RATE)
+    return body, strike(body, felt_of(lab), chosen.FINAL.hammer.M_H, velocity, oversampling * chosen.RATE)
 
 
 def felt_of(lab: SyntheticMeasurement) -> Felt:
-    """The felt: of the paper's stiffness, with memory when slowly compressed."""
+    """Return the felt. A relaxing felt has the paper's stiffness for slow compressions."""
     hammer = chosen.FINAL.hammer
     if lab.felt == "memory":
         return Felt(hammer.K_H / (1 - lab.eps), hammer.p, eps=lab.eps, tau=lab.tau)
@@ -173,11 +173,11 @@ def felt_of(lab: SyntheticMeasurement) -> Felt:
 
 
 def _noise(random: np.random.Generator, samples: int) -> np.ndarray:
-    """Noise of power 1 in the mean: white, and 1/f below `CORNER`."""
+    """Noise with mean power 1: white, and 1/f below `CORNER`."""
     frequency = np.maximum(np.fft.rfftfreq(samples, 1 / chosen.RATE), chosen.FLOOR)
     shape = np.sqrt(1 + chosen.CORNER / frequency)
-    shape[0] = 0.0  # an offset would not survive the recorder
-    # Lines between 0 and half of the rate stand for two each.
+    shape[0] = 0.0  # a recorder removes the offset
+    # Lines between 0 and half the sampling rate have a conjugate.
     both = np.full(frequency.size, 2.0)
     both[0], both[-1] = 1.0, 1.0 if samples % 2 == 0 else 2.0
     shape /= math.sqrt((both * shape**2).sum() / samples)

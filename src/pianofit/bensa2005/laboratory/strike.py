@@ -1,12 +1,12 @@
-"""One stroke: the hammer on the body, step by step until it has left for good, and the ringing after that.
+"""One stroke: contact of hammer and body step by step, and free decay afterwards.
 
-Over a step the felt's force is constant. Under it the body's exponentials and the hammer's parabola are exact,
+The felt's force is constant over a step. The motion of body and hammer under a constant force is exact,
 
     z ← e^{λh} z + β (e^{λh} - 1)/λ F        y_H ← y_H + h v_H - h²/(2 M_H) F        v_H ← v_H - h F/M_H
 
-and the gap at the end of the step is `gap = e - C F`, so that one equation is left, gap + C F(gap) = e, with F rising.
-The only error is the force's, of order 2 in h. Energy never rises: the force takes F Δgap from hammer and body, and the
-felt stores no more of it (see `felt`).
+and the gap at the end of the step is `gap = e - C F`. One equation remains, gap + C F(gap) = e, with rising F. The only
+error is that of the force, of order 2 in h. Energy never rises: hammer and body lose F Δgap, and the felt stores at
+most that (see `felt`).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ __all__ = ["Stroke", "ring", "strike"]
 
 EPSILON = 4 * np.finfo(float).eps
 MOST_CONTACT = 0.05  # s
-LOOK = 32  # steps between two looks at whether the hammer has gone for good
-BLOCK = 256  # samples that one row of a table of powers goes
+LOOK = 32  # steps between two tests for the end of the contact
+BLOCK = 256  # samples per row of the table of powers
 
 
 class Stroke(NamedTuple):
-    """What happened from the first touch on, at t = 0, h, 2h, ...; `force` is that of the step that follows."""
+    """States from the first contact on, at t = 0, h, 2h, ...; `force` is that of the following step."""
 
     step: float  # h, s
     states: np.ndarray  # z, complex [steps, rows of the body]
@@ -41,25 +41,25 @@ class Stroke(NamedTuple):
 
 
 def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) -> Stroke:
-    """Let a hammer of `mass`, kg, meet the resting body with `velocity`, m/s; `rate` steps a second.
+    """Compute the contact of a hammer of `mass`, kg, and `velocity`, m/s, with the body at rest; `rate` steps a second.
 
     Raises
     ------
     FitError
-        If the hammer is still about after 50 ms.
+        If the contact has not ended after 50 ms.
     """
     h = 1 / rate
-    turn = np.exp(body.poles * h)
+    decay = np.exp(body.poles * h)
     push = body.drive * np.expm1(body.poles * h) / body.poles
     row = body.under @ body.vectors
     compliance = float(np.real(row @ push)) + h**2 / (2 * mass)
     z, state, y, v = np.zeros_like(body.poles), FeltState(), 0.0, velocity
     states, trace = [], []
-    while not _gone(body, z, state, y, v, len(states)):
+    while not _contact_ended(body, z, state, y, v, len(states)):
         if len(states) > MOST_CONTACT * rate:
-            raise FitError(f"velocity={velocity:g} m/s: the hammer is still at the string after {MOST_CONTACT:g} s")
-        moved = turn * z
-        force, after = _meet(felt, h, state, y + h * v - float(np.real(row @ moved)), compliance)
+            raise FitError(f"velocity={velocity:g} m/s: the contact has not ended after {MOST_CONTACT:g} s")
+        moved = decay * z
+        force, after = _solve_contact(felt, h, state, y + h * v - float(np.real(row @ moved)), compliance)
         states.append(z)
         trace.append((force, *state, y, v))
         z, state = moved + push * force, after
@@ -69,8 +69,8 @@ def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) ->
     return Stroke(h, np.array([*states, z]), force, gap, dent, memory, columns[:, 4:])
 
 
-def _meet(felt: Felt, h: float, state: FeltState, free: float, compliance: float) -> tuple[float, FeltState]:
-    """Solve gap + C F(gap) = free, where F rises from 0."""
+def _solve_contact(felt: Felt, h: float, state: FeltState, free: float, compliance: float) -> tuple[float, FeltState]:
+    """Solve gap + C F(gap) = free, with F rising from 0."""
     most, apart = felt.advance(state, free, h)
     if most == 0.0:
         return most, apart
@@ -79,13 +79,13 @@ def _meet(felt: Felt, h: float, state: FeltState, free: float, compliance: float
         return gap + compliance * felt.advance(state, gap, h)[0] - free
 
     least = free - compliance * most
-    if excess(least) < 0:  # else a touch too faint to move the last digit
+    if excess(least) < 0:  # otherwise the force is below the rounding
         least = cast(float, brentq(excess, least, free, xtol=1e-22, rtol=EPSILON))
     return felt.advance(state, least, h)
 
 
-def _gone(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps: int) -> bool:
-    """Whether the hammer moves away and is out of reach of a string with the energy there is (Cauchy-Schwarz)."""
+def _contact_ended(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps: int) -> bool:
+    """Return True if the hammer moves away, out of reach of a string with the present energy (Cauchy-Schwarz)."""
     if steps % LOOK or state.gap >= state.dent or v > 0 or y >= 0:
         return False
     reach = np.linalg.norm(np.real(body.vectors @ z)) * np.linalg.norm(body.under)
@@ -93,16 +93,16 @@ def _gone(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps
 
 
 def ring(body: Body, stroke: Stroke, rate: float, samples: int) -> np.ndarray:
-    """The pickup's velocity, m/s [samples] at `rate`, a whole fraction of the stroke's.
+    """Return the velocity at the pickup, m/s [samples], at `rate`, an integer fraction of the rate of the stroke.
 
-    Exponentials above half of `rate` are left out, as an ideal filter before the sampling would.
+    Exponentials above half of `rate` are left out, as by an ideal anti-aliasing filter.
     """
-    heard = np.imag(body.poles) < np.pi * rate
-    row, poles = (body.pickup @ body.vectors)[heard], body.poles[heard] / rate
-    every = round(1 / (stroke.step * rate))
-    head = np.real(stroke.states[::every][:samples][:, heard] @ row)
-    last = len(stroke.force) - 1  # from here on nothing pushes
-    amplitude = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
+    below = np.imag(body.poles) < np.pi * rate
+    row, poles = (body.pickup @ body.vectors)[below], body.poles[below] / rate
+    stride = round(1 / (stroke.step * rate))
+    head = np.real(stroke.states[::stride][:samples][:, below] @ row)
+    last = len(stroke.force) - 1  # end of the contact
+    amplitude = stroke.states[-1][below] * row * np.exp(poles * (len(head) - last / stride))
     # With n = 256 i + j the sum of exponentials is one product of two short tables of powers.
     starts = np.exp(np.outer(np.arange(0, samples - len(head), BLOCK), poles)) * amplitude
     tail = np.real(starts @ np.exp(np.outer(poles, np.arange(BLOCK)))).ravel()

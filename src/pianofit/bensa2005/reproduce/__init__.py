@@ -1,9 +1,9 @@
-"""The paper, again: its tables, its figures and its claims, each tested by numbers of this run.
+"""Tests of the tables, figures and claims of the paper with numbers computed in one run.
 
-Bensa, Gipouloux and Kronland-Martinet (2005) fitted recordings that are not public. Here the laboratory's measurements
-stand for them, whose truth is known and which contain what the paper's model leaves out. `studies` computes, `claims`
-decides by rules, and the page's text stands by hand in `index.html.j2` and `claims.j2`, around the numbers. What is on
-the page is also in a file: every figure as PNG, every table as CSV, every sound as WAV.
+Bensa, Gipouloux and Kronland-Martinet (2005) fitted recordings that are not public. Synthetic measurements of
+`laboratory` replace them. Their parameters are given, and they contain effects that the paper's model does not
+describe. `studies` computes, and `claims` decides by rules. The text of the page is in `index.html.j2` and `claims.j2`.
+All contents of the page are also files: every figure as PNG, every table as CSV, every sound as WAV.
 """
 
 from .claims import Claim

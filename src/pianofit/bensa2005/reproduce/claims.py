@@ -1,8 +1,8 @@
-"""What came of each of the paper's claims, by rules: what this run found in, an outcome out.
+"""Rules that decide from the findings of one run whether each claim of the paper is confirmed.
 
-A rule says which parts of its claim came out, as its docstring has it, and beside them the numbers that it had to
-compute. How they are worded, and what explains a claim that did not come out, is written once, in `claims.j2`, in
-blocks of the rules' names and those with `_why`, for which the findings are `f`.
+A rule returns one truth value for each part of its claim, as its docstring defines, and the numbers for its text. The
+texts are blocks of `claims.j2`. The block with the name of the rule states the numbers. The block with the suffix
+`_why` explains a claim that is not confirmed. The findings are `f` in both.
 """
 
 from __future__ import annotations
@@ -27,75 +27,77 @@ if TYPE_CHECKING:
 
 __all__ = ["SPANS", "SYMBOLS", "WORDS", "Claim", "judge"]
 
-WORDS = {"yes": "came out", "part": "came out in part", "no": "did not come out"}
+WORDS = {"yes": "confirmed", "part": "confirmed in part", "no": "not confirmed"}
 SYMBOLS = {
     "c": "c", "kappa": "κ", "b1": "b₁", "b2": "b₂", "K_H": "K_H", "mu": "μ", "p": "p", "M_H": "M_H", "v_H0": "v₀",
 }  # fmt: skip
 SPANS = ((0.0, 0.015), (0.040, 0.055))  # s, of Figure 7
 SEVENTH = 7  # the paper's "first seven components"
-# Moved by less than this, relative, a parameter has hardly moved;
+# A parameter with at most this relative change counts as unchanged;
 MOVED = 0.005
-# of p the paper says so itself.
+# for p the paper itself says that it hardly changed.
 STILL = {"p": 0.05}
-# What is near the truth, relative.
+# Largest relative error of a fitted string parameter that counts as found.
 NEAR = {"c": 1e-3, "kappa": 0.05, "b1": 0.2}
-# Repeated measurements give a parameter alike if the standard deviation of its logarithm is at most this.
+# Largest standard deviation of a parameter's logarithm over repeated measurements that counts as similar.
 ALIKE = 0.05
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper, and what came of it."""
+    """One claim of the paper and its outcome."""
 
     claim: str
-    where: str  # in the paper
+    where: str  # section, figure or table of the paper
     outcome: str  # a key of `WORDS`
-    sentence: str  # by these numbers
-    why: str  # not, where it did not come out whole
-    otherwise: Claim | None = None  # with the string read off its partials, where that is another question
+    sentence: str  # the numbers
+    why: str  # explanation; empty for a confirmed claim
+    otherwise: Claim | None = None  # outcome with the string determined from the partials, where tested
 
     @property
     def word(self) -> str:
-        """The outcome in words."""
+        """Outcome in words."""
         return WORDS[self.outcome]
 
     @property
     def instead(self) -> str:
-        """What became of it otherwise, in a few words."""
+        """Outcome of `otherwise` in words."""
         return "" if self.otherwise is None else f"string read: {self.otherwise.word}"
 
 
 RULES: dict[str, Callable[..., Claim]] = {}  # in the order of the page
-# Which parts of a claim came out; and numbers that its sentence needs beside the findings.
+# Truth values of the parts of a claim, and the numbers for its text.
 Parts = tuple[list[Any], dict[str, Any]]
 
 
 def judge(f: Findings) -> dict[str, Claim]:
-    """Every claim by the name of its rule."""
+    """Return every claim by the name of its rule."""
     return {name: decide(f) for name, decide in RULES.items()}
 
 
-def rule(where: str, claim: str, recipes: tuple[str, ...] = ()) -> Callable:
-    """Enter in `RULES` what decides a `claim` that stands at `where`: all, some or none of its parts came out.
+def rule(
+    where: str, claim: str, recipes: tuple[str, ...] = ()
+) -> Callable[[Callable[..., Parts]], Callable[..., Claim]]:
+    """Register a rule for a `claim` at `where` in the paper: all, some or none of its parts are confirmed.
 
-    `recipes`: of two that it can be asked of, the second counts only where it does not come out whole by the first.
+    With two `recipes` the claim is tested with the first. If that does not confirm it, the second outcome is added.
     """
 
-    def of(parts: Callable[..., Parts]) -> Callable[..., Claim]:
+    def register(parts: Callable[..., Parts]) -> Callable[..., Claim]:
         @wraps(parts)
         def decided(f: Findings, *recipe: str) -> Claim:
             if recipes and not recipe:
-                first, second = (decided(f, each) for each in recipes)
+                first, second = (decided(f, name) for name in recipes)
                 return first if first.outcome == "yes" else replace(first, otherwise=second)
-            came, numbers = parts(f, *recipe)
-            outcome = "yes" if all(came) else "part" if any(came) else "no"
+            confirmed, numbers = parts(f, *recipe)
+            outcome = "yes" if all(confirmed) else "part" if any(confirmed) else "no"
             why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", f, numbers)
             return Claim(claim, where, outcome, _worded(parts.__name__, f, numbers), why)
 
         RULES[parts.__name__] = decided
         return decided
 
-    return of
+    return register
 
 
 @rule("III.C, Figure 2", "The contact of hammer and string lasts about 3 ms.")
@@ -106,35 +108,35 @@ def contact_lasts(f: Findings) -> Parts:
 
 @rule("III.C, Figure 2", "The contact is shorter when the hammer is faster.")
 def contact_shortens(f: Findings) -> Parts:
-    """Shorter from each velocity to the next."""
+    """Each contact is shorter than that at the next lower velocity."""
     return [after.contact < before.contact for before, after in pairwise(f.strikes)], {}
 
 
 @rule("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.")
 def reflections(f: Findings) -> Parts:
-    """From 2 m/s on, the force has maxima as far apart as a wave's way to the agraffe and back, ±15 %."""
-    spacing = [float(np.mean(np.diff(s.humps))) if len(s.humps) > 1 else None for s in f.strikes]
-    fast = [apart for stroke, apart in zip(f.strikes, spacing, strict=True) if stroke.velocity >= 2]
-    seen = [apart is not None and abs(apart / ROUND_TRIP - 1) <= 0.15 for apart in fast]
-    return seen, {"counts": [len(stroke.humps) for stroke in f.strikes], "spacing": spacing}
+    """At 2 m/s and above, the maxima of the force are 2 x0/c apart, the travel time to the agraffe and back, ±15 %."""
+    spacing = [float(np.mean(np.diff(s.maxima))) if len(s.maxima) > 1 else None for s in f.strikes]
+    fast = [period for stroke, period in zip(f.strikes, spacing, strict=True) if stroke.velocity >= 2]
+    visible = [period is not None and abs(period / ROUND_TRIP - 1) <= 0.15 for period in fast]
+    return visible, {"counts": [len(stroke.maxima) for stroke in f.strikes], "spacing": spacing}
 
 
-@rule("III.C, Figure 3", "Force over compression is a loop; its area is what the felt takes.")
+@rule("III.C, Figure 3", "Force over compression is a loop; its area is the energy lost in the felt.")
 def felt_loses(f: Findings) -> Parts:
-    """A loop ∮ F du run through clockwise, that is what hammer and string lose to 1e-6 of the energy."""
+    """The loop ∮ F du is clockwise and equals the energy lost by hammer and string, to 1e-6 of the energy."""
     hardest = f.strikes[-1]
     return [hardest.loop > 0, abs(hardest.loop - hardest.balance) <= 1e-6 * hardest.hammer_energy], {}
 
 
 @rule("III.C, Figure 4", "The sound is brighter when the hammer is faster.")
 def brighter(f: Findings) -> Parts:
-    """A higher centroid from each velocity to the next."""
+    """Each centroid is higher than that at the next lower velocity."""
     return [after.centroid > before.centroid for before, after in pairwise(f.strikes)], {}
 
 
 @rule("IV.C, Table II", "A gradient in bands 1 and 2 finds the string.")
 def string_found(f: Findings) -> Parts:
-    """c, κ and b1 within `NEAR` of the truth."""
+    """c, κ and b1 lie within `NEAR` of the true values."""
     found = values_of(f.tables["full"].results["paper"])
     off = {name: abs(found[name] / f.true[name] - 1) for name in NEAR}
     strongest, share = max(f.origin.shares()["band2"].items(), key=lambda item: item[1])
@@ -147,7 +149,7 @@ def string_found(f: Findings) -> Parts:
     STRINGS,
 )
 def changes_as_printed(f: Findings, recipe: str) -> Parts:
-    """Every parameter moved from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
+    """Every parameter changed from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
     initial, printed, found = PRINTED["initial"], PRINTED["final"], values_of(f.tables["full"].results[recipe])
 
     def direction(name: str, after: float) -> float:
@@ -160,23 +162,24 @@ def changes_as_printed(f: Findings, recipe: str) -> Parts:
 
 @rule("IV.C", "Band 3 has local minima.")
 def local_minima(f: Findings) -> Parts:
-    """More than one minimum in the plane shown, and more than one over all five parameters."""
-    return [len(f.plane.minima) > 1, len(f.race.minima) > 1], {}
+    """There is more than one minimum in the plane shown, and more than one over all five parameters."""
+    return [len(f.plane.minima) > 1, len(f.search_comparison.minima) > 1], {}
 
 
 @rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
 def annealing_escapes(f: Findings) -> Parts:
     """The gradient fails from some starts, and the annealing from none.
 
-    A search fails that does not come `WITHIN` a factor of the lowest criterion found by any.
+    A search fails if it does not end within the factor `WITHIN` of the lowest criterion of all searches.
     """
-    return [f.race.reached("gradient") < f.plan.starts, f.race.reached("annealed") == f.plan.starts], {}
+    gradient, annealed = (f.search_comparison.successes(method) for method in ("gradient", "annealed"))
+    return [gradient < f.plan.starts, annealed == f.plan.starts], {}
 
 
 @rule("V, Figure 6", "The first seven partials agree, those above differ.", STRINGS)
 def high_partials_differ(f: Findings, recipe: str) -> Parts:
-    """Levels to the seventh agree to 1 dB rms, and those above differ more."""
-    partial, off = f.origin.levels_off(f.origin.sounds[recipe])
+    """The levels of the first seven partials agree to 1 dB rms, and those above differ more."""
+    partial, off = f.origin.level_differences(f.origin.sounds[recipe])
     high = off[partial > SEVENTH]
     low_db, high_db = rms(off[partial <= SEVENTH]), rms(high)
     return [low_db <= 1.0, high_db > low_db], {"low_db": low_db, "high_db": high_db, "excess_db": float(high.mean())}
@@ -184,7 +187,7 @@ def high_partials_differ(f: Findings, recipe: str) -> Parts:
 
 @rule("V, Figure 7", "The waveform comes clearly nearer the measured one.", STRINGS)
 def waveforms_nearer(f: Findings, recipe: str) -> Parts:
-    """The difference from the measured waveform is less than half of what it was; both relative to its rms."""
+    """The fit more than halves the difference from the measured waveform, relative to the rms of that waveform."""
     wave = f.strokes[f.plan.waveform]
     shown = int(SPANS[-1][1] * wave.recording.rate)
     measured, initial, fitted = (wave.sounds[name][:shown] for name in ("measured", "initial", recipe))
@@ -194,11 +197,11 @@ def waveforms_nearer(f: Findings, recipe: str) -> Parts:
 
 @rule("IV.B, VI", "Three bands keep attack and brightness better than a global criterion.", STRINGS)
 def three_bands_better(f: Findings, recipe: str) -> Parts:
-    """Three bands nearer the measured sound than the global criterion, on average over velocities, in both measures."""
-    near = [stroke.closeness for stroke in f.strokes.values()]
+    """In both measures, three bands have a smaller mean error over the velocities than the global criterion."""
+    sounds = [stroke.closeness for stroke in f.strokes.values()]
 
     def errors(sound: str, measure: str) -> np.ndarray:
-        return np.array([getattr(one[sound], measure) / getattr(one["measured"], measure) - 1 for one in near])
+        return np.array([getattr(c[sound], measure) / getattr(c["measured"], measure) - 1 for c in sounds])
 
     three, whole = ({m: np.abs(errors(x, m)) for m in ("attack", "centroid")} for x in (recipe, "global"))
     lost = float(errors("global", "centroid").mean())
@@ -207,58 +210,59 @@ def three_bands_better(f: Findings, recipe: str) -> Parts:
 
 @rule("V", "Parameters from one velocity predict other velocities.", STRINGS)
 def predicts(f: Findings, recipe: str) -> Parts:
-    """The fit at one velocity meets another's levels better than initial values, and than the recording itself.
+    """At each other velocity, the fit predicts the levels better than the initial values and than `nearest` do.
 
-    The errors are rms of the partials' levels, dB; `nearest` is the recording at the fitted velocity for the other.
+    The errors are the rms differences of the partials' levels, dB. `nearest` is the recording at the fitted velocity.
     """
     predicted, initial, nearest = (
-        [one.closeness[kind].level_db for one in f.predictions.values()] for kind in (recipe, "initial", "nearest")
+        [stroke.closeness[sound].level_db for stroke in f.predictions.values()]
+        for sound in (recipe, "initial", "nearest")
     )
-    met = [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)]
-    return met, {"predicted": predicted, "initial": initial, "nearest": nearest}
+    better = [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)]
+    return better, {"predicted": predicted, "initial": initial, "nearest": nearest}
 
 
 @rule("V", "Repeated measurements give very similar parameters.", STRINGS)
 def repeats(f: Findings, recipe: str) -> Parts:
-    """Every parameter's standard deviation over the measurements, of its logarithm, is at most `ALIKE`."""
+    """The standard deviation of the logarithm over the measurements is at most `ALIKE` for every parameter."""
     spread = spread_of(f.repeated[recipe])
     return [share <= ALIKE for share in spread.values()], {"spread": spread}
 
 
-@rule("V, VI", "What remains after the fit is what the model lacks.", STRINGS)
+@rule("V, VI", "The residual after the fit comes from effects that the model does not describe.", STRINGS)
 def explained(f: Findings, recipe: str) -> Parts:
-    """Without what the model lacks hardly anything remains (a tenth), and some effect alone leaves a tenth of it all.
+    """Without effects the residual is below a tenth of that with all effects, and one effect alone causes a tenth.
 
-    What remains is the criterion in band 3 after a fit.
+    The residual is the criterion in band 3 after a fit.
     """
-    left = {name: stroke.closeness[recipe].criterion["band3"] for name, stroke in f.effects.items()}
-    everything, nothing = left.pop("all"), left.pop("none")
-    came = [nothing < 0.1 * everything, max(left.values()) >= 0.1 * everything]
-    return came, {"alone": left, "everything": everything, "nothing": nothing}
+    residuals = {name: stroke.closeness[recipe].criterion["band3"] for name, stroke in f.effects.items()}
+    everything, nothing = residuals.pop("all"), residuals.pop("none")
+    confirmed = [nothing < 0.1 * everything, max(residuals.values()) >= 0.1 * everything]
+    return confirmed, {"alone": residuals, "everything": everything, "nothing": nothing}
 
 
-@rule("V, Table II", "The κ that is fitted is the string's.")
-def bends_kappa(f: Findings) -> Parts:
-    """κ through the paper's grid is the string's own to 2 %."""
-    bent = f.bends["fitted to band 2"][0]
-    return [abs(bent.off) <= 0.02], {"bent": bent}
+@rule("V, Table II", "The fitted κ is that of the string.")
+def kappa_of_string(f: Findings) -> Parts:
+    """κ fitted with the paper's grid equals that of the string to 2 %."""
+    error = f.dispersion_errors["fitted to band 2"][0]
+    return [abs(error.off) <= 0.02], {"biased": error}
 
 
 @rule("IV.B, Table II", "b2 is found in band 2.")
-def b2_seen(f: Findings) -> Parts:
-    """Between no b2 and the paper's, the criterion of band 2 changes by more than its standard deviation by noise."""
-    seen = f.blindness
-    curve, noise = seen.criterion["band2"], seen.spread["band2"]
-    at = float(np.interp(np.log(seen.true), np.log(seen.b2), curve))
-    change, above = abs(at - float(curve[0])), seen.b2[(curve - at > noise) & (seen.b2 > seen.true)].tolist()
+def b2_found(f: Findings) -> Parts:
+    """From no b2 to the paper's, the criterion of band 2 changes by more than its standard deviation by noise."""
+    b2, true = f.b2_sensitivity.b2, f.b2_sensitivity.true
+    curve, noise = f.b2_sensitivity.criterion["band2"], f.b2_sensitivity.spread["band2"]
+    at_true = float(np.interp(np.log(true), np.log(b2), curve))
+    change, above = abs(at_true - float(curve[0])), b2[(curve - at_true > noise) & (b2 > true)].tolist()
     return [change > noise], {"change": change, "noise": noise, "visible": (*above, None)[0]}
 
 
-# --- in words --------------------------------------------------------------------------------------------------------
+# --- text ------------------------------------------------------------------------------------------------------------
 
 
 def _worded(block: str, f: Findings, numbers: dict[str, Any]) -> str:
-    """A block of `claims.j2`, if there is one of that name."""
+    """Render a block of `claims.j2`; empty if it does not exist."""
     template = _texts()
     if block not in template.blocks:
         return ""
@@ -282,5 +286,5 @@ def _percent(share: float) -> str:
 
 
 def _spread(deviation: float) -> str:
-    """A standard deviation of the logarithm."""
+    """Format a standard deviation of the logarithm."""
     return format_relative_uncertainty(deviation, "a factor {}").removeprefix("± ")

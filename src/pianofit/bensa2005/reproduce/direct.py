@@ -1,7 +1,7 @@
 """The direct problem (paper III.C, Figures 2 to 4): a C4 struck at three velocities.
 
-The paper takes "the hammer parameters and the striking positions" of Chaigne and Askenfelt and names neither the
-losses nor the velocities but for 2 and 4 m/s. Here they are those of the preset `chaigne-askenfelt-C4`.
+The paper takes "the hammer parameters and the striking positions" of Chaigne and Askenfelt. It gives two velocities, 2
+and 4 m/s, and no losses. The losses are those of the preset `chaigne-askenfelt-C4`.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from .strokes import centroid
 __all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strike"]
 
 NOTE = preset("chaigne-askenfelt-C4")
-# Of a wave, from the hammer to the agraffe and back, 2 x0/c, s.
+# Travel time of a wave from the hammer to the agraffe and back, 2 x0/c, s.
 ROUND_TRIP = float(2 * NOTE.geometry.strike_position / NOTE.string.c)
 VELOCITIES = (1.0, 2.0, 4.0)  # m/s, soft to hard; the paper names the last two
 RATE = 44_100  # Hz
 OVERSAMPLING = 16
 SECONDS = 1.0
-# A reflection counts as visible where the force dips by this share of its maximum.
+# A reflection is visible if the force dips by this share of its maximum.
 VISIBLE = 0.01
-# Hz of the spectra shown.
+# Highest frequency of the spectra, Hz.
 SHOWN = 6000.0
 
 
@@ -40,20 +40,20 @@ class Strike(NamedTuple):
     force: np.ndarray  # N
     compression: np.ndarray  # m
     contact: float  # s
-    humps: np.ndarray  # when the force has a visible maximum, s
+    maxima: np.ndarray  # times of visible maxima of the force, s
     loop: float  # ∮ F du, J
-    balance: float  # energy of the hammer before, less that after and the work done on the string, J
-    hammer_energy: float  # before, J
+    balance: float  # energy of the hammer before, minus that after and the work done on the string, J
+    hammer_energy: float  # before the contact, J
     frequency: np.ndarray  # Hz
     level: np.ndarray  # dB of (m/s) s
     centroid: float  # Hz
 
 
 def mass_for_contact(contact: float, velocity: float) -> float:
-    """M_H, kg, with which the hammer would stay for `contact`, s; the rest as it is."""
+    """Return the hammer mass, kg, for a contact of `contact`, s, with all other values unchanged."""
     mass = float(NOTE.hammer.M_H)
-    found: Any = brentq(lambda m: _simulate(velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
-    return float(found)
+    root: Any = brentq(lambda m: _simulate(velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
+    return float(root)
 
 
 def _simulate(velocity: float, mass: float) -> Simulation:
@@ -62,18 +62,18 @@ def _simulate(velocity: float, mass: float) -> Simulation:
 
 
 def strike(velocity: float) -> Strike:
-    """The note at a velocity, m/s."""
+    """Compute the note at a velocity, m/s."""
     mass = float(NOTE.hammer.M_H)
-    done = _simulate(velocity, mass)
-    step, pulse = float(done.modes.step), done.pulse
+    simulation = _simulate(velocity, mass)
+    step, pulse = float(simulation.modes.step), simulation.pulse
     force, gap, speed = (np.asarray(x) for x in (pulse.force, pulse.compression, pulse.hammer[:, 1]))
-    shown = slice(0, int(1.1 * done.last_touch / step) + 2)
+    shown = slice(0, int(1.1 * simulation.last_touch / step) + 2)
     before, after = 0.5 * mass * velocity**2, 0.5 * mass * float(speed[-1]) ** 2
-    sound = done.waveform(RATE, int(SECONDS * RATE))
+    sound = simulation.waveform(RATE, int(SECONDS * RATE))
     frequency, level = spectrum_db(sound, RATE, SHOWN)
     return Strike(
         velocity=velocity, time=step * np.arange(len(force))[shown], force=force[shown], compression=gap[shown],
-        contact=done.contact_time, humps=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
+        contact=simulation.contact_time, maxima=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
         loop=float(0.5 * ((force[1:] + force[:-1]) * np.diff(gap)).sum()),
         balance=before - after - float(pulse.work), hammer_energy=before,
         frequency=frequency, level=level, centroid=centroid(sound, RATE, float(NOTE.f0)),

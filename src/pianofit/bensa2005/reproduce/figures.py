@@ -1,7 +1,7 @@
-"""The page's figures, by the names under which page and files have them; all draw what was found and decide nothing.
+"""The figures of the page, by the names that the page and the files use. They only draw the findings.
 
-One look for each sound wherever it appears. Lines are told apart by colour and by stroke: the page must be readable in
-grey and by colour-blind eyes (Okabe and Ito's colours).
+Each sound has the same line style in all figures. Lines differ in colour and in dashes, so that they are readable in
+greyscale and for colour-blind readers (colours of Okabe and Ito).
 """
 
 from __future__ import annotations
@@ -43,46 +43,46 @@ THREE = (
 )
 TRUTH = {"color": INK, "lw": 1.0, "ls": (0, (3, 2))}
 BANDS = {"band1": "band 1", "band2": "band 2", "band3": "band 3"}
-TOP = 6000.0  # Hz of the spectra
-EDGES = (1e-3, 1e3)  # what is further off than this, as a factor, is drawn here
+TOP = 6000.0  # highest frequency of the spectra, Hz
+EDGES = (1e-3, 1e3)  # ratios beyond these are drawn at them
 
 
-FIGURES: dict[str, Callable[[Findings], Any]] = {}  # each makes a figure of matplotlib
+FIGURES: dict[str, Callable[[Findings], Any]] = {}  # name -> function that makes a Matplotlib figure
 
 
 def drawn(
     name: str, height: float, rows: int = 1, columns: int = 1, *, share: str = "", key: bool = True, **labels: Any
 ):
-    """Enter in `FIGURES` what draws findings on one axes, or on a list of them, of a height in inches.
+    """Register a function in `FIGURES` that draws findings on one axes or on a list of axes; `height` is in inches.
 
-    `share`: which of "x" and "y" the axes share. `key`: one legend at the lower edge, of what the first axes show.
-    `labels`: what `Axes.set` takes, of each.
+    `share`: which of "x" and "y" the axes share. `key`: add one legend at the lower edge, from the first axes.
+    `labels`: arguments of `Axes.set`, for all axes.
     """
 
-    def of(draw: Callable[[Findings, Any], None]) -> Callable[[Findings, Any], None]:
+    def register(draw: Callable[[Findings, Any], None]) -> Callable[[Findings, Any], None]:
         def figure(f: Findings) -> Any:
             from matplotlib.figure import Figure
 
-            made = Figure(figsize=(WIDTH, height), layout="constrained")
-            every = (
-                made.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share).ravel().tolist()
+            fig = Figure(figsize=(WIDTH, height), layout="constrained")
+            panels = (
+                fig.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share).ravel().tolist()
             )
-            for axes in every:
+            for axes in panels:
                 axes.set(**labels)
-            draw(f, every if len(every) > 1 else every[0])
+            draw(f, panels if len(panels) > 1 else panels[0])
             if key:
-                handles, words = every[0].get_legend_handles_labels()
-                made.legend(handles, words, loc="outside lower center", ncols=len(words))
-            return made
+                handles, words = panels[0].get_legend_handles_labels()
+                fig.legend(handles, words, loc="outside lower center", ncols=len(words))
+            return fig
 
         FIGURES[name] = figure
         return draw
 
-    return of
+    return register
 
 
 def stack(rows: Sequence[Any], depth: float, shown: Sequence[tuple[str, np.ndarray, np.ndarray, str]]) -> None:
-    """Spectra one below the other, each a name, Hz, dB and colour, down to `depth` below the highest level, dB."""
+    """Draw spectra (name, Hz, dB, colour) one below the other, down to `depth`, dB, below the highest level."""
     top = max(level.max() for _, _, level, _ in shown)
     for axes, (name, frequency, level, color) in zip(rows, shown, strict=True):
         axes.plot(1e-3 * frequency, level, color=color, lw=0.9)
@@ -94,7 +94,7 @@ def stack(rows: Sequence[Any], depth: float, shown: Sequence[tuple[str, np.ndarr
 def bars(
     axes: Any, names: Sequence[str], groups: Sequence[tuple[Sequence[float], str, str]], apart: float, **ticks: Any
 ) -> list[Any]:
-    """Groups of bars side by side, each its values [names], colour and label."""
+    """Draw groups of bars (values [names], colour, label) side by side."""
     at, middle = np.arange(len(names)), 0.5 * (len(groups) - 1)
     axes.set_xticks(at, names, **ticks)
     axes.grid(visible=False, axis="x")
@@ -104,17 +104,17 @@ def bars(
     ]
 
 
-@drawn("figure-2", 4.6, xlabel="time from the first touch (ms)", ylabel="force of the hammer (N)")
+@drawn("figure-2", 4.6, xlabel="time from the first contact (ms)", ylabel="force of the hammer (N)")
 def force_over_time(f: Findings, axes: Any) -> None:
     """Figure 2."""
     for stroke, look in zip(f.strikes, THREE, strict=True):
         label = f"{stroke.velocity:g} m/s: {1e3 * stroke.contact:.2f} ms"
         axes.plot(1e3 * stroke.time, stroke.force, label=label, **look)
-        heights = np.interp(stroke.humps, stroke.time, stroke.force)
-        axes.plot(1e3 * stroke.humps, heights, ls="none", marker="v", ms=6, color=look["color"])
-    top, humps = max(stroke.force.max() for stroke in f.strikes), f.strikes[-1].humps
+        heights = np.interp(stroke.maxima, stroke.time, stroke.force)
+        axes.plot(1e3 * stroke.maxima, heights, ls="none", marker="v", ms=6, color=look["color"])
+    top, maxima = max(stroke.force.max() for stroke in f.strikes), f.strikes[-1].maxima
     axes.set(xlim=(0, None), ylim=(0, 1.17 * top))
-    first = 1e3 * humps[0] if len(humps) else 0.1
+    first = 1e3 * maxima[0] if len(maxima) else 0.1
     axes.annotate("", (first, 1.05 * top), (first + 1e3 * ROUND_TRIP, 1.05 * top), arrowprops={"arrowstyle": "<->"})
     text = f"2x₀/c = {1e3 * ROUND_TRIP:.2f} ms: to the agraffe and back"
     axes.text(first + 500 * ROUND_TRIP, 1.07 * top, text, ha="center", va="bottom", fontsize=9)
@@ -122,7 +122,7 @@ def force_over_time(f: Findings, axes: Any) -> None:
 
 @drawn("figure-3", 4.6, key=False, xlabel="compression of the felt (mm)", ylabel="force (N)", box_aspect=0.6)
 def force_over_compression(f: Findings, axes: Any) -> None:
-    """Figure 3, with arrows that say which way round the loop is run."""
+    """Figure 3, with arrows for the direction of the loop."""
     stroke = f.strikes[-1]
     pressed = stroke.compression > 0
     u, force = 1e3 * stroke.compression[pressed], stroke.force[pressed]
@@ -133,7 +133,8 @@ def force_over_compression(f: Findings, axes: Any) -> None:
     for i in (int(np.argmax(force >= 0.35 * force.max())), falling):
         axes.annotate("", (u[i + 2], force[i + 2]), (u[i - 2], force[i - 2]), arrowprops=arrow)
     axes.set(xlim=(0, 1.03 * u.max()), ylim=(0, None))
-    text = f"area: {1e3 * stroke.loop:.3g} mJ\n{100 * stroke.loop / stroke.hammer_energy:.2g} % of the hammer's energy"
+    share = 100 * stroke.loop / stroke.hammer_energy
+    text = f"area: {1e3 * stroke.loop:.3g} mJ\n{share:.2g} % of the hammer energy"
     axes.text(0.04, 0.94, text, transform=axes.transAxes, va="top")
 
 
@@ -149,22 +150,22 @@ def velocity_spectra(f: Findings, rows: list[Any]) -> None:
 
 
 @drawn(
-    "band-3", 5.6, key=False, xscale="log", yscale="log", xlabel="hammer's mass over the true one",
-    ylabel="felt's stiffness over the true one (as its force)",
+    "band-3", 5.6, key=False, xscale="log", yscale="log", xlabel="hammer mass, relative to the true value",
+    ylabel="felt stiffness (as force), relative to the true value",
 )  # fmt: skip
-def plane(f: Findings, axes: Any) -> None:
+def criterion_plane(f: Findings, axes: Any) -> None:
     """The criterion of band 3 over two coordinates, with its minima."""
-    seen = f.plane
-    x, y = np.exp(seen.second), np.exp(seen.first)
-    level = np.log10(np.clip(np.where(np.isfinite(seen.criterion), seen.criterion, np.nan), 1e-6, 1e2))
+    plane = f.plane
+    x, y = np.exp(plane.second), np.exp(plane.first)
+    level = np.log10(np.clip(np.where(np.isfinite(plane.criterion), plane.criterion, np.nan), 1e-6, 1e2))
     levels = np.arange(np.floor(4 * np.nanmin(level)) / 4, min(np.nanmax(level), 0.5) + 0.1, 0.125)
     shown = axes.contourf(x, y, level, levels=levels, cmap="viridis", extend="max")
     shown.set_rasterized(True)
-    for n, minimum in enumerate(seen.minima):
+    for n, minimum in enumerate(plane.minima):
         at = np.exp(minimum.z[1]), np.exp(minimum.z[0])
         look = {"marker": "o", "ms": 9} if n else {"marker": "*", "ms": 17}
         axes.plot(*at, color="white", mec="black", mew=1.0, ls="none", **look)
-        side = "right" if minimum.z[1] > 0.8 * seen.second[-1] else "left"
+        side = "right" if minimum.z[1] > 0.8 * plane.second[-1] else "left"
         axes.annotate(f"{minimum.cost:.2g}", at, xytext=(0, 11), ha=side, color="white", textcoords="offset points",
                       fontsize=9.5, fontweight="bold")  # fmt: skip
     for axis in (axes.xaxis, axes.yaxis):
@@ -176,20 +177,20 @@ def plane(f: Findings, axes: Any) -> None:
 
 
 @drawn(
-    "searches", 4.8, yscale="log", xlabel="searches, each method's own sorted by where they ended",
+    "searches", 4.8, yscale="log", xlabel="searches of each method, sorted by their final criterion",
     ylabel="criterion in band 3",
 )  # fmt: skip
 def searches(f: Findings, axes: Any) -> None:
-    """Where every search ended, sorted method by method."""
+    """Final criterion of every search, sorted for each method."""
     for name, label, color, marker in (
         ("start", "start", GREY, "x"), ("gradient", "gradient descent", INITIAL, "s"),
         ("squares", "least squares", PURPLE, "^"), ("annealed", "annealing", FITTED, "o"),
         ("polished", "annealing, then least squares", GLOBAL, "D"),
     ):  # fmt: skip
-        value = np.clip(np.sort(f.race.ends[name]), None, 10.0)
+        value = np.clip(np.sort(f.search_comparison.ends[name]), None, 10.0)
         inside = "none" if name == "polished" else color
         axes.plot(1 + np.arange(len(value)), value, color=color, marker=marker, ms=6, lw=1.0, label=label, mfc=inside)
-    line, text = WITHIN * f.race.least, "below this line: the deepest minimum"
+    line, text = WITHIN * f.search_comparison.least, "below this line: the deepest minimum"
     axes.axhline(line, **TRUTH)
     axes.text(0.995, 1.05 * line, text, ha="right", va="bottom", fontsize=9, transform=axes.get_yaxis_transform())
     axes.locator_params(axis="x", integer=True)
@@ -206,7 +207,7 @@ def spectra(f: Findings, rows: list[Any]) -> None:
 
 @drawn("figure-7", 6.4, 2, share="y", ylabel="velocity at the pickup (m/s)")
 def waveforms(f: Findings, rows: list[Any]) -> None:
-    """Figure 7: measured, before and after, over each of `SPANS`."""
+    """Figure 7: measured, before and after the fit, over each of `SPANS`."""
     stroke = f.strokes[f.plan.waveform]
     rate = stroke.recording.rate
     looks = {"measured": {"lw": 2.6, "alpha": 0.45}, "initial": {"label": "before", "ls": (0, (7, 2, 1, 2))}}
@@ -236,9 +237,9 @@ def predicted_levels(f: Findings, axes: Any) -> None:
     """Errors of the partials' levels at velocities that were not fitted, dB."""
     origin = f"{f.plan.origin:g} m/s"
     groups = [
-        ([one.closeness[kind].level_db for one in f.predictions.values()], color, label)
+        ([stroke.closeness[kind].level_db for stroke in f.predictions.values()], color, label)
         for kind, color, label in (
-            ("initial", INITIAL, "initial values"), ("nearest", GREY, f"the recording at {origin} itself"),
+            ("initial", INITIAL, "initial values"), ("nearest", GREY, f"the recording at {origin}"),
             ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{SOUNDS['read']}, at {origin}"),
         )
     ]  # fmt: skip
@@ -247,9 +248,9 @@ def predicted_levels(f: Findings, axes: Any) -> None:
     axes.margins(x=0.02)
 
 
-@drawn("repeated", 4.6, yscale="log", ylabel="found, over the truth")
+@drawn("repeated", 4.6, yscale="log", ylabel="fitted value, relative to the true value")
 def repeated_values(f: Findings, axes: Any) -> None:
-    """Every repeated fit's values over the truth; over the paper's, drawn hollow, where there is no truth."""
+    """Values of every repeated fit over the true value; hollow: over the paper's, for μ of a relaxing felt."""
     true, printed = f.true, PRINTED["final"]
     for side, recipe in enumerate(STRINGS):
         look = LINES[recipe] | {"ls": "none", "marker": MARKERS[recipe], "ms": 6}
@@ -265,26 +266,26 @@ def repeated_values(f: Findings, axes: Any) -> None:
 
 
 @drawn("effects", 5.0, 1, 3, share="y", yscale="log")
-def remains(f: Findings, each: list[Any]) -> None:
-    """The criterion that remains after a fit, band by band, with one effect after the other."""
+def remains(f: Findings, panels: list[Any]) -> None:
+    """The criterion after a fit, band by band and effect by effect."""
     looks = {recipe: (LINES[recipe]["color"], LINES[recipe]["label"]) for recipe in f.plan.effect_recipes}
-    for axes, (band, title) in zip(each, BANDS.items(), strict=True):
+    for axes, (band, title) in zip(panels, BANDS.items(), strict=True):
         groups = [
-            ([one.closeness[recipe].criterion[band] for one in f.effects.values()], *look)
+            ([stroke.closeness[recipe].criterion[band] for stroke in f.effects.values()], *look)
             for recipe, look in looks.items()
         ]
         bars(axes, [*f.effects], groups, 0.27, rotation=30, ha="right")
         axes.set_title(title)
         axes.margins(x=0.04)
-    each[0].set_ylabel("criterion that remains")
+    panels[0].set_ylabel("criterion after the fit")
 
 
-@drawn("kappa", 4.4, ylabel="κ that is found (m²/s)")
+@drawn("kappa", 4.4, ylabel="fitted κ (m²/s)")
 def kappa_by_grid(f: Findings, axes: Any) -> None:
-    """κ as fitted, scheme by scheme."""
-    for (label, bends), color, marker in zip(f.bends.items(), (FITTED, INITIAL), "os", strict=True):
-        axes.plot(range(len(bends)), [b.kappa for b in bends], ls="none", marker=marker, ms=8, color=color, label=label)
-    *grids, prewarped = next(iter(f.bends.values()))
+    """Fitted κ for each scheme."""
+    for (label, fits), color, marker in zip(f.dispersion_errors.items(), (FITTED, INITIAL), "os", strict=True):
+        axes.plot(range(len(fits)), [b.kappa for b in fits], ls="none", marker=marker, ms=8, color=color, label=label)
+    *grids, prewarped = next(iter(f.dispersion_errors.values()))
     axes.axhline(prewarped.kappa_true, label="true", **TRUTH)
     names = [f"N = {b.points}\n{1e-3 * b.rate:g} kHz" for b in grids]
     axes.set_xticks(range(len(names) + 1), [*names, "prewarped modes"])
@@ -292,14 +293,17 @@ def kappa_by_grid(f: Findings, axes: Any) -> None:
     axes.grid(visible=False, axis="x")
 
 
-@drawn("b2", 4.6, xscale="log", yscale="log", xlabel="b₂ (m²/s), all else at the truth", ylabel="criterion")
+@drawn("b2", 4.6, xscale="log", yscale="log", xlabel="b₂ (m²/s), all others at their true values", ylabel="criterion")
 def b2_over_decades(f: Findings, axes: Any) -> None:
-    """The criterion over b2, band by band, and what noise does to it."""
-    seen = f.blindness
+    """The criterion over b2 for each band, and its spread by noise."""
+    result = f.b2_sensitivity
     for (band, label), color, stroke in zip(BANDS.items(), (GLOBAL, FITTED, INITIAL), (":", "-", "--"), strict=True):
-        axes.plot(seen.b2, seen.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
-        low, high = seen.noise[band] - seen.spread[band], seen.noise[band] + seen.spread[band]
+        axes.plot(result.b2, result.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
+        low, high = (
+            result.noise[band] - result.spread[band],
+            result.noise[band] + result.spread[band],
+        )
         axes.axhspan(max(low, 1e-12), high, color=color, alpha=0.15, lw=0)
-    axes.axvline(seen.true, **TRUTH)
+    axes.axvline(result.true, **TRUTH)
     across = axes.get_xaxis_transform()
-    axes.text(seen.true * 1.15, 0.97, "the paper's b₂, and the truth", va="top", fontsize=9, transform=across)
+    axes.text(result.true * 1.15, 0.97, "true b₂, equal to the paper's", va="top", fontsize=9, transform=across)

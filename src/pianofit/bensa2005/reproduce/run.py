@@ -1,4 +1,4 @@
-"""The command's work: compute everything, write the files, then the pages."""
+"""Run the studies, and write the files and the pages."""
 
 from __future__ import annotations
 
@@ -26,39 +26,40 @@ from .tables import tables
 
 __all__ = ["reproduce"]
 
-SECONDS = 2.2  # of each sound that a page plays
-LEAD = 0.05  # s of silence before those of the listening test
-# Sounds of velocities that were not fitted, on the page: name -> what it is called there.
+SECONDS = 2.2  # length of each sound on the pages, s
+LEAD = 0.05  # s of silence before each sound of the listening test
+# Sounds at velocities that were not fitted: name -> name on the page.
 PREDICTED = {
     "measured": "measured", "paper": "predicted, three bands", "read": "predicted, string read", "initial": "initial",
 }  # fmt: skip
-# What the listening test asks of a stroke: which of two is nearer the measured one; and of one of them also the last.
+# Pairs of the listening test: which of the two sounds is nearer the measured one? Only one stroke has the last pair.
 PAIRS = (("paper", "initial"), ("paper", "global"), ("read", "initial"), ("read", "global"), ("default", "read"))
 
 
 def reproduce(
     folder: Path, seed: int = 0, *, plan: Plan = FULL, progress: Callable[[str, float], None] = lambda *_: None
 ) -> list[Claim]:
-    """Write `index.html`, `listening.html` and the files behind them to `folder`, and return what came of each claim.
+    """Write `index.html`, `listening.html` and their files to `folder`, and return the tested claims.
 
-    What the page shows is also beside it: figures as PNG, tables as CSV, sounds as WAV.
+    The files contain the figures as PNG, the tables as CSV and the sounds as WAV.
 
     Parameters
     ----------
-    folder : exists, and is to be written to.
-    seed : of everything random; the same seed gives the same files.
-    progress : called with a stage's name and the fraction done.
+    folder : existing folder for the output.
+    seed : of all random numbers. The same seed gives the same files.
+    progress : called with the name of the stage and the fraction done.
 
     Raises
     ------
     OutputError
-        If something cannot be written.
+        If a file or folder cannot be written.
     """
     enable_program_cache()
-    found = compute(plan, seed, progress)
+    findings = compute(plan, seed, progress)
     progress("pages", 0.99)
-    claims, numbers = judge(found), tables(found)
-    shown = {plan.origin: (found.origin, SOUNDS)} | {v: (one, PREDICTED) for v, one in found.predictions.items()}
+    claims, numbers = judge(findings), tables(findings)
+    shown = {plan.origin: (findings.origin, SOUNDS)}
+    shown |= {velocity: (stroke, PREDICTED) for velocity, stroke in findings.predictions.items()}
     for name in ("data", "figures", "sounds"):
         try:
             (folder / name).mkdir(exist_ok=True)
@@ -66,15 +67,15 @@ def reproduce(
             raise write_error(folder / name, error, "choose another --out") from None
     for name, table in numbers.items():
         write_csv(folder / f"data/{name}.csv", table.columns, table.rows)
-    figures = {name: _drawn(folder / f"figures/{name}.png", draw, found) for name, draw in FIGURES.items()}
-    players = {f"{v:.3f}": played(folder / "sounds", f"{v:.3f}", *each) for v, each in shown.items()}
+    figures = {name: _drawn(folder / f"figures/{name}.png", draw, findings) for name, draw in FIGURES.items()}
+    players = {f"{v:.3f}": played(folder / "sounds", f"{v:.3f}", *sounds) for v, sounds in shown.items()}
     files = [f"data/{name}.csv" for name in numbers] + [f"figures/{name}.png" for name in figures]
     files += [f"sounds/{_file(name, clip.name)}" for name, clips in players.items() for clip in clips]
-    _write_test(folder, found)
+    _write_test(folder, findings)
     write_page(
         folder / "index.html", "index.html.j2", package="pianofit.bensa2005.reproduce", styles=("claims.css",),
         scripts=("audio.js", "player.js"), filters={"symbol": _symbol},
-        title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=found, claims=claims,
+        title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=findings, claims=claims,
         words=WORDS, figures=figures, tables=numbers, players=players, files=files, recipes=RECIPES, note=NOTE,
         scale=chosen.SCALE,
     )  # fmt: skip
@@ -82,17 +83,17 @@ def reproduce(
     return [*claims.values()]
 
 
-def _drawn(target: Path, draw: Callable, found: Findings) -> str:
-    """Write a figure's PNG, and return its address within the page."""
+def _drawn(target: Path, draw: Callable, findings: Findings) -> str:
+    """Write the PNG of a figure, and return its SVG as a data URI for the page."""
     with page_style():
-        figure = draw(found)
+        figure = draw(findings)
         shown = data_uri("image/svg+xml", svg(figure))
         replace_file(target, png(figure))
     return shown
 
 
 def played(folder: Path, name: str, stroke: Stroke, names: dict[str, str]) -> list[Clip]:
-    """Write a stroke's sounds at their own levels, and return equally loud ones for the page."""
+    """Write the sounds of a stroke at their own levels, and return clips of equal loudness for the page."""
     rate, sounds = stroke.recording.rate, {label: stroke.sounds[sound] for sound, label in names.items()}
     for label, samples in sounds.items():
         replace_file(folder / _file(name, label), encode_wav(samples / chosen.SCALE, rate))
@@ -100,12 +101,12 @@ def played(folder: Path, name: str, stroke: Stroke, names: dict[str, str]) -> li
 
 
 def _file(name: str, label: str) -> str:
-    """What a sound is saved as."""
+    """File name of a sound."""
     return f"{name}-{label.replace(',', '').replace(' ', '-')}.wav"
 
 
 def _symbol(name: str) -> str:
-    """A parameter with its unit, a recipe or a band by its name on the page; another word as it is."""
+    """Name on the page of a parameter (with its unit) or a recipe; any other text is unchanged."""
     if name in SYMBOLS:
         unit = PARAMETERS[name].unit.replace("^p", "ᵖ")
         return SYMBOLS[name] if unit == "1" else f"{SYMBOLS[name]}, {unit}"
@@ -115,17 +116,17 @@ def _symbol(name: str) -> str:
 def _write_test(folder: Path, f: Findings) -> None:
     """Write `listening.html`."""
     questions, rate = [], f.origin.recording.rate
-    for velocity in f.plan.heard:
-        heard = {
+    for velocity in f.plan.listening:
+        sounds = {
             name: TestSound(SOUNDS[name], f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
             for name, x in f.strokes[velocity].sounds.items()
         }
-        questions += [Question(heard["measured"], (heard[a], heard[b])) for a, b in PAIRS if a in heard]
-        questions.append(Question(heard["measured"], (heard["measured"], heard["initial"]), 1))
+        questions += [Question(sounds["measured"], (sounds[a], sounds[b])) for a, b in PAIRS if a in sounds]
+        questions.append(Question(sounds["measured"], (sounds["measured"], sounds["initial"]), 1))
     write_listening(
         folder / "listening.html", questions, rate, LEAD, f.seed, program="pianofit reproduce",
         about="the sounds of “pianofit reproduce”",
-        origin="measurements of pianofit's own laboratory, which stand for the paper's: those are not public",
+        origin="synthetic measurements of pianofit, which replace the paper's: those are not public",
         key=folder / "listening-key.json",
     )  # fmt: skip
 

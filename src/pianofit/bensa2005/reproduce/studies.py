@@ -1,4 +1,4 @@
-"""Everything that the page says, computed: fits of the laboratory's measurements (paper V), and the studies beside."""
+"""All computations of the page: fits of synthetic measurements (paper V), and the other studies."""
 
 from __future__ import annotations
 
@@ -10,26 +10,34 @@ import numpy as np
 
 from ...parameters import FIT_NAMES
 from ..laboratory import FINAL, INITIAL, SyntheticMeasurement, chosen
-from .band3 import Landscape, Race, hammers, landscape, race
+from .band3 import CriterionPlane, SearchComparison, criterion_plane, hammer_search, search_comparison
 from .direct import VELOCITIES, Strike, mass_for_contact, strike
-from .limits import ALL, BAND2, B2Sensitivity, DispersionError, bends, blindness, inverse_bend
+from .limits import (
+    ALL,
+    BAND2,
+    B2Sensitivity,
+    DispersionError,
+    b2_sensitivity,
+    dispersion_errors,
+    inverse_dispersion_error,
+)
 from .strokes import Stroke, fitted, measured, values_of
 
 __all__ = ["FULL", "PRINTED", "QUICK", "STRINGS", "Findings", "Plan", "compute", "spread_of"]
 
-# The paper's process as printed, and its third step on a string that was read.
+# The paper's three steps, and its third step on a string determined from the partials.
 STRINGS = ("paper", "read")
-LONG = 3e-3  # s, the contact that the paper names
-NOISE_DB = 60.0  # the laboratory's own, and left in the ideal one
-# What the laboratory has and the paper's model has not, each to be tried alone beside the noise.
+LONG = 3e-3  # duration of the contact that the paper gives, s
+NOISE_DB = 60.0  # the default of the laboratory, also for the ideal one
+# Effects that the paper's model does not describe. Each is added alone to the noise.
 EFFECTS: dict[str, dict[str, Any]] = {
-    "none": {}, "second polarisation": {"polarisation": True}, "yielding bridge": {"bridge": True},
+    "none": {}, "second polarisation": {"polarisation": True}, "compliant bridge": {"bridge": True},
     "relaxing felt": {"felt": "memory"},
 }  # fmt: skip
-# Tables II and III as printed; initially the paper has no κ.
+# Tables II and III as printed. The paper gives no initial κ.
 PRINTED = {
-    column: {name: value for name, value in chosen.by_name(it).items() if name not in missing}
-    for column, it, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
+    column: {name: value for name, value in chosen.by_name(preset).items() if name not in missing}
+    for column, preset, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
 }
 
 
@@ -42,29 +50,29 @@ class Plan:
     velocities: tuple[float, ...] = (0.618, 0.844, 1.1, 1.299, 2.3)
     origin: float = 0.844  # from which the others are predicted
     waveform: float = 1.1
-    heard: tuple[float, ...] = (0.618, 0.844, 1.299)  # in the listening test
+    listening: tuple[float, ...] = (0.618, 0.844, 1.299)  # velocities of the listening test
     repeats: int = 4
     effects: tuple[str, ...] = tuple(EFFECTS)
     effect_recipes: tuple[str, ...] = (*STRINGS, "default")
-    annealing: int | None = None  # evaluations of the paper's recipe; its own number if None
-    tries: int = 2  # annealings for a fit, of which the best counts, but for repeated measurements
+    annealing: int | None = None  # evaluations of the recipe `paper`; its default if None
+    tries: int = 2  # annealings per fit, of which the best is used; 1 for repeated measurements
     # Band 3: points of the landscape along each side, starts, iterations of the gradient, evaluations of an annealing.
     grid: int = 49
     starts: int = 12
     iterations: int = 400
     evaluations: int = 10_000
-    noises: int = 5  # measurements that differ in their noise alone, for b2
+    noises: int = 5  # measurements for b2 that differ only in their noise
     losses: int = 36  # values of b2
-    seconds: float = SyntheticMeasurement.seconds  # of a measurement
+    seconds: float = SyntheticMeasurement.seconds  # length of a measurement, s
     contact_rate: float = SyntheticMeasurement.contact_rate  # Hz
 
     @property
     def laboratory(self) -> SyntheticMeasurement:
-        """The full one."""
+        """The laboratory with all effects."""
         return SyntheticMeasurement(noise_db=NOISE_DB, seconds=self.seconds, contact_rate=self.contact_rate)
 
     def ideal(self, **switches: Any) -> SyntheticMeasurement:
-        """The paper's own model and noise, but for `switches`."""
+        """Return the paper's own model with noise and with only the effects in `switches`."""
         return SyntheticMeasurement.ideal(
             noise_db=NOISE_DB, seconds=self.seconds, contact_rate=self.contact_rate, **switches
         )
@@ -72,7 +80,7 @@ class Plan:
 
 FULL = Plan()
 QUICK = Plan(
-    velocities=(0.844, 1.1), heard=(0.844,), repeats=2, effects=("none", "relaxing felt"), effect_recipes=STRINGS,
+    velocities=(0.844, 1.1), listening=(0.844,), repeats=2, effects=("none", "relaxing felt"), effect_recipes=STRINGS,
     grid=13, starts=2, iterations=10, evaluations=640, noises=2, losses=8, annealing=500, tries=1, seconds=1.0,
     contact_rate=2e5,
 )  # fmt: skip
@@ -80,27 +88,27 @@ QUICK = Plan(
 
 @dataclass(frozen=True)
 class Findings:
-    """What was computed."""
+    """Results of all studies."""
 
     seed: int
     plan: Plan
     strikes: list[Strike]
-    needed_mass: float  # for a contact of `LONG`, kg
-    tables: dict[str, Stroke]  # II and III: laboratory -> the paper's final values, measured and fitted
-    strokes: dict[float, Stroke]  # at the plan's velocities
-    # Velocities that were not fitted, by the fits at `plan.origin`; `nearest` is the recording there, in their place.
+    needed_mass: float  # hammer mass for a contact of `LONG`, kg
+    tables: dict[str, Stroke]  # II and III: laboratory -> measurement with the paper's final values, and its fits
+    strokes: dict[float, Stroke]  # at the velocities of the plan
+    # Predictions from the fits at `plan.origin`. The sound `nearest` is the recording at `plan.origin`.
     predictions: dict[float, Stroke]
-    repeated: dict[str, list[dict[str, float]]]  # recipe -> what was found, each time
-    effects: dict[str, Stroke]  # a laboratory with this and no other effect
-    plane: Landscape
-    race: Race
-    bends: dict[str, list[DispersionError]]
+    repeated: dict[str, list[dict[str, float]]]  # recipe -> fitted values of each measurement
+    effects: dict[str, Stroke]  # laboratory with this effect only
+    plane: CriterionPlane
+    search_comparison: SearchComparison
+    dispersion_errors: dict[str, list[DispersionError]]
     inverse: DispersionError
-    blindness: B2Sensitivity
+    b2_sensitivity: B2Sensitivity
 
     @property
     def true(self) -> dict[str, float]:
-        """Of the nine parameters, at the paper's final values: a relaxing felt has no μ."""
+        """True parameters, the paper's final values; without μ for a relaxing felt."""
         return self.tables["full"].measurement.true
 
     @property
@@ -110,7 +118,7 @@ class Findings:
 
 
 def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Findings:
-    """Run all studies; the same seed gives the same findings."""
+    """Run all studies. The same seed gives the same findings."""
     done, count = 0, 7 + len(plan.velocities) + plan.repeats + len(plan.effects)
 
     def tick(stage: str) -> None:
@@ -122,22 +130,26 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
         tick(stage)
         stroke = measured(lab, velocity, seed, *start)
         results = {recipe: fitted(stroke, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
-        notes = {"initial": results[recipes[0]].initial.note} | {r: one.fitted.note for r, one in results.items()}
+        notes = {"initial": results[recipes[0]].initial.note} | {r: fit.fitted.note for r, fit in results.items()}
         return stroke.with_sounds({name: stroke.played(note) for name, note in notes.items()}, **results)
 
     tick("the direct problem")
     struck, needed = [strike(v) for v in VELOCITIES], mass_for_contact(LONG, VELOCITIES[len(VELOCITIES) // 2])
-    tick("κ through the grid")
-    bent = {"fitted to band 2": bends(BAND2), f"fitted to partials 1 to {ALL[-1]}": bends(ALL)}
+    tick("bias of κ by the grid")
+    by_partials = {"fitted to band 2": BAND2, f"fitted to partials 1 to {ALL[-1]}": ALL}
+    biased = {label: dispersion_errors(number) for label, number in by_partials.items()}
     tick("the criterion over b2")
-    blind = blindness(plan.ideal(), seed, repeats=plan.noises, values=plan.losses)
-    every, printed = (*STRINGS, "global", "default"), (PRINTED["final"]["v_H0"], PRINTED["initial"]["v_H0"])
+    blind = b2_sensitivity(plan.ideal(), seed, repeats=plan.noises, values=plan.losses)
+    all_recipes, printed = (*STRINGS, "global", "default"), (PRINTED["final"]["v_H0"], PRINTED["initial"]["v_H0"])
     by_table = {
         name: fits(f"tables: {name} laboratory", lab, printed[0], recipes, printed[1])
-        for name, lab, recipes in (("ideal", plan.ideal(), ("paper", "default")), ("full", plan.laboratory, every))
+        for name, lab, recipes in (
+            ("ideal", plan.ideal(), ("paper", "default")),
+            ("full", plan.laboratory, all_recipes),
+        )
     }
     strokes = {
-        v: fits(f"a stroke of {v:g} m/s", plan.laboratory, v, every if v == plan.origin else every[:-1])
+        v: fits(f"a stroke of {v:g} m/s", plan.laboratory, v, all_recipes if v == plan.origin else all_recipes[:-1])
         for v in plan.velocities
     }
     origin, repeated = strokes[plan.origin], {recipe: [] for recipe in STRINGS}
@@ -151,20 +163,22 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
         for name in plan.effects
     }
     tick("band 3, the landscape")
-    problem = hammers(origin)
-    plane = landscape(problem, plan.grid)
+    problem = hammer_search(origin)
+    plane = criterion_plane(problem, plan.grid)
     tick("band 3, the searches")
     return Findings(
         seed=seed, plan=plan, strikes=struck, needed_mass=needed, tables=by_table, strokes=strokes,
         predictions={v: _predicted(origin, stroke) for v, stroke in strokes.items() if stroke is not origin},
         repeated=repeated, effects=effects | {"all": origin}, plane=plane,
-        race=race(problem, plan.starts, seed, iterations=plan.iterations, evaluations=plan.evaluations),
-        bends=bent, inverse=inverse_bend(BAND2), blindness=blind,
+        search_comparison=search_comparison(
+            problem, plan.starts, seed, iterations=plan.iterations, evaluations=plan.evaluations
+        ),
+        dispersion_errors=biased, inverse=inverse_dispersion_error(BAND2), b2_sensitivity=blind,
     )  # fmt: skip
 
 
 def _predicted(origin: Stroke, other: Stroke) -> Stroke:
-    """The three-band fits at `origin`, struck as the sensor read it at the other velocity."""
+    """Return the three-band fits at `origin`, with the sensor's reading of the other velocity."""
     nearest, size = origin.sounds["measured"], len(other.sounds["measured"])
     notes = {r: origin.results[r].fitted.note.with_velocity(other.measurement.nominal_velocity) for r in STRINGS}
     sounds = {recipe: other.played(note) for recipe, note in notes.items()} | {"initial": other.sounds["initial"]}
@@ -172,5 +186,5 @@ def _predicted(origin: Stroke, other: Stroke) -> Stroke:
 
 
 def spread_of(rows: list[dict[str, float]]) -> dict[str, float]:
-    """Standard deviation of each parameter over repeated fits, relative."""
+    """Return the relative standard deviation of each parameter over repeated fits."""
     return {name: float(np.std(np.log([row[name] for row in rows]), ddof=1)) for name in FIT_NAMES}
