@@ -77,7 +77,7 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
         assert table["mu"] == {
             "value": 0.0, "unit": "s/m", "interval": None, "interval_by": None, "interval_open": [], "status": "given",
             "initial": 0.0,
-            "note": f"the felt's law, {law}, has none",
+            "note": f"not a parameter of the felt law {law}",
         }  # fmt: skip
     (tmp_path / "fit.json").write_text(json.dumps(document))
     note, _ = load_note(tmp_path / "fit.json")

@@ -152,7 +152,7 @@ def test_the_figures_show_this_fit():
         "measured", "initial", "fitted",
     }  # fmt: skip
     lines = {line.get_label(): line for line in result().plot.envelopes(number=2).lines}
-    assert "partial 2, " in lines["law"].axes.get_title(loc="left")
+    assert "partial 2, " in lines["string model"].axes.get_title(loc="left")
     with pytest.raises(ParameterError, match=r"number=0 .*\[1, 2"):
         result().plot.envelopes(number=0)
     plt.close("all")
