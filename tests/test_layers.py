@@ -42,7 +42,7 @@ USES = {
     " result setup",
     "fitting": "analysis bensa2005 inference modal_response parameters progress recording result setup threads",
     "instrument": "analysis fit_file io literature modal_response_file model parameters report",
-    "playback": "dsp felt instrument io model parameters threads",
+    "playback": "felt instrument io model parameters threads",
     "export": "analysis instrument io model playback report threads",
     "web": "analysis instrument io model parameters playback recording report",
     "batch": "analysis fitting io model parameters recording report",
