@@ -331,7 +331,7 @@ def document() -> dict:
         row = {"midi": midi, "string": n.string._asdict(), "hammer": n.hammer._asdict(), "gain": n.gain,
                "geometry": n.geometry._asdict(), "path": None, "fit": {} if midi == 59 else None}  # fmt: skip
         rows.append(row)
-    return {"schema": 1, "kind": "instrument", "name": "</script><b>", "quantity": "pressure", "keys": rows,
+    return {"schema": 2, "kind": "instrument", "name": "</script><b>", "quantity": "pressure", "keys": rows,
             "velocity": {"at_64": 1.3, "rise": 1.5}}  # fmt: skip
 
 
