@@ -34,7 +34,7 @@ BANNED = {
     r"\bknown beforehand\b": "given",
     r"\bhowever many\b": "any number of",
     r"\bnobody (?:hears|knows)\b": "inaudible, unknown",
-    r"\bat the (?:least|most)\b": "at least, at most",
+    r"\bat the (?:least|most)(?=[.,;:)]|$)": "at least, at most",
     r"\b(?:thereof|whereof|wherein)\b": "of which, in which",
     r"\b(?:the|a|its|their) (?:path|key|string|hammer|note|stroke|partial|recording|prior)'s?(?=[.,;:)]|$)": "a noun",
 }
