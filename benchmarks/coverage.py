@@ -72,7 +72,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
     twin = make_synthetic_recording(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:
-        sound, setup = Path(folder) / "twin.wav", Path(folder) / "setup.toml"
+        sound, setup = Path(folder) / "synthetic.wav", Path(folder) / "setup.toml"
         sound.write_bytes(encode_wav(twin.samples, twin.rate))
         setup.write_text(setup_text())
         result = fit(sound, setup=setup, seed=seed, progress=False)

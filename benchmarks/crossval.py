@@ -1,12 +1,12 @@
 """How well velocities that were not fitted are predicted, on real notes and by each law of the felt.
 
     python benchmarks/crossval.py                                      all notes of the recordings, by the default law
-    python benchmarks/crossval.py --laws hunt-crossley,power,stulov --json crossval.json
+    python benchmarks/crossval.py --laws hunt-crossley,power,stulov --json cross_validation.json
     python benchmarks/crossval.py --seeds 0,1,2                        how far the median moves with the seed
 
 The recordings are in ../shared/recordings and ../shared/disklavier, or where PIANOFIT_RECORDINGS says (folders
 separated by a colon), each with a `recordings.csv`. For every note each layer is left out in turn and predicted from
-the others, as `pianofit crossval` does: rms over partials, dB, one gain removed. A layer is scored if it lies between
+the others, as `pianofit cross-validate` does: rms over partials, dB, one gain removed. A layer is scored if it lies between
 others, at least `FEWEST` partials are compared, and three or more layers are left to fit; the rest is printed, in
 brackets. Where a machine played the key (a column `blow` with MIDI velocities), its layers share one gain.
 """

@@ -228,7 +228,7 @@ def kinds() -> dict[str, Kind]:
         b'felt.law = "stulov"\n[string]\nlength = 1.2\nmass = 0.006\n[strike]\nposition = 0.12\nwidth = 0.02\n'
         b'[pickup]\nquantity = "velocity"\nposition = 0.3\nscale = 2.0\n[fixed]\nM_H = 0.008\n'
         b"[initial]\nc = 310.0\n[bounds]\n"
-        b'K_H = [1e8, 1e12]\n[[recording]]\nfile = "a.wav"\nv_H0 = 2.0\ngroup = "close"\nstrike = "one"\n'
+        b'K_H = [1e8, 1e12]\n[[recording]]\nfile = "a.wav"\nv_H0 = 2.0\ngroup = "close"\nstroke = "one"\n'
     )
     table = b"file,note,instrument,layer,v_H0,group\na.wav,A3,grand,1,1.5,close\nb.wav,A3,grand,2,3.0,close\n"
     sfz = (

@@ -228,7 +228,7 @@ def works(place: Path) -> list[Work]:
     out = {name: place / name for name in ("batch", "export", "page.html")}
     return [
         Work("page", ["page", built, "--out", str(out["page.html"]), "--force"], out["page.html"]),
-        Work("export", ["export", built, "--keys", "C3,E3", "--layers", "2", "--seconds", "2", "--out",
+        Work("export", ["export", built, "--keys", "C3,E3", "--velocity-layers", "2", "--seconds", "2", "--out",
              str(out["export"]), "--force"], out["export"]),
         Work("fit --force", fit, fits),
         Work("batch", ["batch", str(samples), "--pattern", "{instrument}-{note}.wav", "--out", str(out["batch"])],

@@ -44,7 +44,7 @@ def make_measurement(folder: Path) -> tuple[Path, Path]:
     from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 
     twin = make_synthetic_recording()
-    sound, setup = folder / "twin.wav", folder / "setup.toml"
+    sound, setup = folder / "synthetic.wav", folder / "setup.toml"
     sound.write_bytes(encode_wav(twin.samples, twin.rate))
     setup.write_text(setup_text())
     return sound, setup

@@ -1,4 +1,4 @@
-"""Bad files of the corpus of bad inputs: recordings and setups that must be rejected."""
+"""Bad files, for the corpus of bad inputs: recordings and setups that their gates must refuse."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class BadInput:
     args: tuple[str, ...]
     message: str
     code: int = 1
-    gate: str = ""  # which reader rejects it: "recording", "setup", or "" for the command line
+    gate: str = ""  # "recording", "setup", or "" for the command line's own
 
     def arguments(self, folder: Path) -> list[str]:
         """Return the command line, to follow the program's name."""
         return [f"{folder}{arg[1:]}" if arg.startswith("@") else arg for arg in self.args]
 
     def bad_file(self, folder: Path) -> str:
-        """Return the path of the file that must be rejected."""
+        """Return the path of the file that its gate must refuse."""
         return self.arguments(folder)[1 if self.gate == "recording" else 5]
 
     def is_explained_by(self, output: str) -> bool:
-        """True if the message appears, ignoring case and line breaks."""
+        """Say whether the message appears, in whatever case and however a terminal broke the line."""
         return "".join(self.message.lower().split()) in "".join(output.lower().split())
 
 
@@ -62,7 +62,7 @@ def encoded(samples: np.ndarray, file_format: str = "WAV", subtype: str | None =
 
 
 def wav(sound: bytes, codec: int = 1, channels: int = 1, rate: int = RATE, align: int = 0, size: int = -1) -> bytes:
-    """Return a 16 bit WAV with any header."""
+    """Return a 16 bit WAV by hand, with any header."""
     align = align or channels * 2
     chunk = struct.pack("<HHIIHH", codec, channels, rate, min(rate * align, 2**32 - 1), align, 16)
     data = struct.pack("<4sI", b"data", len(sound) if size < 0 else size) + sound
@@ -101,7 +101,7 @@ def set_bytes(data: bytes, at: int, values: bytes) -> bytes:
 
 
 def caf_unfinished(data: bytes) -> bytes:
-    """A CAF whose sound has no length, as after a power failure of the recorder."""
+    """A CAF whose sound has no length, as a recorder leaves it that lost power."""
     return set_bytes(data, data.index(b"data") + 4, b"\xff" * 8)
 
 
@@ -128,13 +128,13 @@ def audio(name: str, content: Callable[[], bytes] | bytes, message: str, file_na
 
 
 def special(name: str, build: Callable[[Path], None], message: str, file_name: str) -> BadInput:
-    """Return an entry that fits a path that is not an ordinary file."""
+    """Return an entry that fits one thing that is no ordinary file."""
     args = ("fit", f"@/{file_name}", "--note", "A4", "--out", "@/out")
     return BadInput(f"path-{name}", build, args, message, gate="recording")
 
 
 def spoiled(value: float) -> bytes:
-    """Return a float WAV with one sample of this value."""
+    """Return a float WAV with one sample that is no number."""
     samples = note().copy()
     samples[5000] = value
     return encoded(samples, subtype="FLOAT")
@@ -207,8 +207,8 @@ AUDIO = [
     audio("noise-only", lambda: encoded(0.1 * np.random.default_rng(2).normal(size=RATE)), "above its noise"),
     audio("channels-cancel", lambda: encoded(np.stack([note(), -note()], axis=1)), "cancel"),
     audio("clipped-beyond-use", lambda: encoded(np.clip(50 * note(), -1, 1)), "clipped beyond use"),
-    audio("sixty-milliseconds", lambda: encoded(note()[:1323]), "60.0 ms"),
-    audio("ten-milliseconds", lambda: encoded(note()[:220]), "10.0 ms"),
+    audio("sixty-milliseconds", lambda: encoded(note()[:1323]), "lasts 60.0 ms; at least 80 ms are needed"),
+    audio("ten-milliseconds", lambda: encoded(note()[:220]), "lasts 10.0 ms"),
     audio("onset-at-the-end", lambda: encoded(note(seconds=0.03, lead=0.5)), "after its onset"),
     audio("name-with-newline", b"hello", "a\\nb.wav", "a\nb.wav"),
     audio("name-with-escape", b"hello", "\\x1b[31mred.wav", "\x1b[31mred.wav"),
@@ -244,65 +244,73 @@ SETUPS = [
     setup("not-utf8", b'[pickup]\nquantity = "v\xe9locity"\n', "line 2 is not UTF-8"),
     setup("syntax", "[string]\nlength 1.0\n", "line 2"),
     setup("twice", "[string]\nlength = 1.0\nlength = 2.0\n", "line 3"),
-    setup("nested", "a = " + "[" * 20_000, "TOML"),
-    setup("long-integer", "[string]\nlength = " + "9" * 5_000 + "\n", "TOML"),
+    setup("nested", "a = " + "[" * 20_000, "not valid TOML"),
+    setup("long-integer", "[string]\nlength = " + "9" * 5_000 + "\n", "not valid TOML"),
     setup("unknown-table", "[strings]\nlength = 1.0\n", "did you mean string?"),
-    setup("key-outside-table", "length = 1.0\n", "[string]"),
+    setup("key-outside-table", "length = 1.0\n", "belongs in [string]"),
     setup("unknown-key", "[string]\nlenght = 1.0\n", "did you mean length?"),
-    setup("key-in-wrong-table", "[string]\nposition = 0.1\n", "[pickup]"),
-    setup("unknown-parameter", "[fixed]\nx0 = 0.1\n", "x0"),
+    setup("key-in-wrong-table", "[string]\nposition = 0.1\n", "belongs in [strike] or [pickup]"),
+    setup("unknown-parameter", "[fixed]\nx0 = 0.1\n", "allowed: c, kappa"),
     setup("parameter-case", "[initial]\nk_h = 1e9\n", "did you mean K_H?"),
     setup("table-is-number", "string = 1.0\n", "[string]"),
-    setup("single-recording", '[recording]\nfile = "a.wav"\n', "[[recording]]"),
-    setup("unit-in-text", '[string]\nlength = "1 m"\n', "quotes"),
+    setup(
+        "single-recording",
+        '[recording]\nfile = "a.wav"\n',
+        "must be a list; begin each entry with a line [[recording]]",
+    ),
+    setup("unit-in-text", '[string]\nlength = "1 m"\n', "no quotes"),
     setup("boolean", "[string]\nlength = true\n", "length = True"),
     setup("date", "[string]\nmass = 2024-01-01\n", "mass"),
     setup("not-a-number", "[string]\nlength = nan\n", "length = nan"),
     setup("infinite", "[string]\nmass = inf\n", "mass = inf"),
-    setup("centimetres", "[string]\nlength = 62\n", "length = 62"),
+    setup("centimetres", "[string]\nlength = 62\n", "length = 62 must be a number from 0.01 to 5 m"),
     setup("grams", "[string]\nmass = 6.18\n", "1 kg"),
     setup("hammer-in-grams", "[fixed]\nM_H = 6.79\n", "M_H = 6.79"),
     setup("negative", "[fixed]\nb1 = -0.5\n", "b1 = -0.5"),
     setup("zero-velocity", "[fixed]\nv_H0 = 0\n", "v_H0 = 0"),
     setup("huge-integer", f"[fixed]\nK_H = {10**400}\n", "K_H"),
     setup("quantity", '[pickup]\nquantity = "acceleration"\n', "acceleration"),
-    setup("no-position", '[pickup]\nquantity = "velocity"\n', "position"),
-    setup("position-unused", "[pickup]\nposition = 0.3\n", "position"),
-    setup("scale-with-pressure", '[pickup]\nquantity = "pressure"\nscale = 2.0\n', "scale = 2"),
+    setup("no-position", '[pickup]\nquantity = "velocity"\n', "needs a position"),
+    setup("position-unused", "[pickup]\nposition = 0.3\n", "no meaning"),
+    setup("scale-with-pressure", '[pickup]\nquantity = "pressure"\nscale = 2.0\n', "scale = 2 has no meaning"),
     setup("scale-zero", '[pickup]\nquantity = "bridge-force"\nscale = 0\n', "scale = 0"),
-    setup("pickup-off-string", '[string]\nlength = 1\n[pickup]\nquantity = "velocity"\nposition = 1.5\n', "1.5"),
-    setup("strike-off-string", "[string]\nlength = 1.0\n[strike]\nposition = 1.2\n", "[strike]"),
-    setup("window-past-agraffe", "[strike]\nposition = 0.01\nwidth = 0.03\n", "agraffe"),
-    setup("window-past-bridge", "[string]\nlength = 1\n[strike]\nposition = 0.99\nwidth = 0.03\n", "[strike]"),
+    setup("pickup-off-string", '[string]\nlength = 1\n[pickup]\nquantity = "velocity"\nposition = 1.5\n', "not on"),
+    setup("strike-off-string", "[string]\nlength = 1.0\n[strike]\nposition = 1.2\n", "past the string length"),
+    setup("window-past-agraffe", "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
+    setup(
+        "window-past-bridge",
+        "[string]\nlength = 1\n[strike]\nposition = 0.99\nwidth = 0.03\n",
+        "past the string length",
+    ),
     setup("window-zero", "[strike]\nposition = 0.12\nwidth = 0.0\n", "width = 0.0"),
     setup(
-        "strike-two-velocities",
+        "stroke-two-velocities",
         '[[recording]]\nfile = "a.wav"\nstroke = "L4"\ngroup = "close"\nv_H0 = 2.0\n'
         '[[recording]]\nfile = "b.wav"\nstroke = "L4"\ngroup = "room"\nv_H0 = 3.0\n',
-        "v_H0 = 3",
+        "one stroke has one velocity",
     ),
     setup(
-        "strike-one-group",
+        "stroke-one-group",
         '[[recording]]\nfile = "a.wav"\nstroke = "L4"\ngroup = "close"\n'
         '[[recording]]\nfile = "b.wav"\nstroke = "L4"\ngroup = "close"\n',
-        '"close"',
+        'both have group = "close"',
     ),
     setup(
-        "strike-no-group",
+        "stroke-no-group",
         '[[recording]]\nfile = "a.wav"\nstroke = "L4"\n[[recording]]\nfile = "b.wav"\nstroke = "L4"\n',
-        "group",
+        "neither has a group",
     ),
-    setup("stroke-number", '[[recording]]\nfile = "a.wav"\nstroke = 4\n', "stroke = 4"),
+    setup("stroke-number", '[[recording]]\nfile = "a.wav"\nstroke = 4\n', "stroke = 4 must be a text"),
     setup("bounds-one-number", "[bounds]\nK_H = [1e9]\n", "two numbers"),
     setup("bounds-number", "[bounds]\nK_H = 1e9\n", "two numbers"),
-    setup("bounds-reversed", "[bounds]\nK_H = [1e12, 1e8]\n", "lower"),
+    setup("bounds-reversed", "[bounds]\nK_H = [1e12, 1e8]\n", "lower must be below upper"),
     setup("bounds-outside", "[bounds]\np = [0.5, 3.0]\n", "p = 0.5"),
-    setup("initial-outside-bounds", "[initial]\nc = 310\n[bounds]\nc = [200, 300]\n", "[bounds]"),
-    setup("fixed-and-initial", "[fixed]\nv_H0 = 1\n[initial]\nv_H0 = 1\n", "[initial]"),
-    setup("fixed-and-bounds", "[fixed]\nv_H0 = 1\n[bounds]\nv_H0 = [1, 2]\n", "[bounds]"),
+    setup("initial-outside-bounds", "[initial]\nc = 310\n[bounds]\nc = [200, 300]\n", "outside its [bounds]"),
+    setup("fixed-and-initial", "[fixed]\nv_H0 = 1\n[initial]\nv_H0 = 1\n", "and in [initial]"),
+    setup("fixed-and-bounds", "[fixed]\nv_H0 = 1\n[bounds]\nv_H0 = [1, 2]\n", "and in [bounds]"),
     setup("recording-empty", "[[recording]]\n", "is empty"),
     setup("recording-file-number", "[[recording]]\nfile = 3\n", "file = 3"),
-    setup("recording-twice", '[[recording]]\nfile = "a.wav"\n[[recording]]\nfile = "a.wav"\n', "a.wav"),
-    setup("recording-and-fixed-velocity", "[fixed]\nv_H0 = 1\n[[recording]]\nv_H0 = 2\n", "[fixed]"),
-    setup("recording-outside-bounds", "[bounds]\nv_H0 = [1, 2]\n[[recording]]\nv_H0 = 3\n", "[bounds]"),
+    setup("recording-twice", '[[recording]]\nfile = "a.wav"\n[[recording]]\nfile = "a.wav"\n', "twice"),
+    setup("recording-and-fixed-velocity", "[fixed]\nv_H0 = 1\n[[recording]]\nv_H0 = 2\n", "also in [fixed]"),
+    setup("recording-outside-bounds", "[bounds]\nv_H0 = [1, 2]\n[[recording]]\nv_H0 = 3\n", "outside its [bounds]"),
 ]

@@ -1,8 +1,8 @@
-"""A corpus of bad inputs: every one must end in one line that names the thing, never in a traceback.
+"""Corpus of invalid inputs. Each must cause a message of one line that names the input, not a traceback.
 
-Each entry builds its files in a folder and gives the command line to run there, a piece of the message that must
-appear, and the exit code: 1 for an input that cannot be used, 2 for a command that cannot be understood. Entries whose
-`gate` is "recording" or "setup" are also run against `load_recording` and `load_setup` directly.
+An entry builds its files in a folder. It has the command line to run there, a part of the message, and the exit code: 1
+for an invalid input, 2 for an invalid command line. Entries whose `gate` is "recording" or "setup" are also tested with
+`load_recording` and `load_setup` directly.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["BAD_INPUTS", "BadInput", "encoded", "fit_dict", "note", "pcm16", "wa
 
 
 def fit_dict(**values: object) -> dict:
-    """Return a fit.json's content, with some parameters' values changed."""
+    """Return the content of a fit.json with some parameter values changed."""
     values = {
         "c": 304.1, "kappa": 1.7, "b1": 0.6, "b2": 2e-6, "K_H": 1e10, "mu": 0.2, "p": 2.6, "M_H": 5.7e-3, "v_H0": 0.8,
         "M_S": 6.18e-3, "L": 1.0, "x0": 0.12, "width": 0.02, "pickup": 0.3,
@@ -37,8 +37,8 @@ def fit_dict(**values: object) -> dict:
     }  # fmt: skip
 
 
-def take_dict(**values: object) -> dict:
-    """Return a fit.json's content, with some facts of its recording changed."""
+def recording_dict(**values: object) -> dict:
+    """Return the content of a fit.json with some values of its recording changed."""
     content = fit_dict()
     return content | {"recordings": [content["recordings"][0] | values]}
 
@@ -54,7 +54,7 @@ def render(name: str, content: object, message: str) -> BadInput:
 
 
 def command(name: str, line: str, message: str, code: int = 1, build: Callable[[Path], None] = good) -> BadInput:
-    """Return an entry for a whole command line, good.wav being there."""
+    """Return an entry for a command line. The folder has good.wav."""
     return BadInput(name, build, tuple(shlex.split(line)), message, code)
 
 
@@ -80,7 +80,7 @@ def short_bass(folder: Path) -> None:
 
 
 def two_sides(folder: Path) -> None:
-    """Build sides of a listening test: a/ and b/ go together, others do not."""
+    """Build sides of a listening test. Only a/ and b/ are a valid pair."""
     sides = {
         "a": encoded(note()), "b": encoded(0.5 * note()), "slower": encoded(note(rate=16_000), rate=16_000),
         "stereo": encoded(np.stack([note(), note()], axis=1)), "clipped": encoded(np.clip(3 * note(), -1, 0.95)),
@@ -104,13 +104,13 @@ def result(name: str, content: object, message: str) -> BadInput:
 
 
 def rings(imag: float, knock: dict | None = None, mode: float = 1.0) -> dict:
-    """Return a fit.json's content with one mode of one channel."""
+    """Return the content of a fit.json with one mode of one channel."""
     columns = {name: [mode] for name in ("partial", "frequency", "frequency_error", "decay", "decay_error")}
     return fit_dict() | {"ringing": {"modes": columns, "pattern": [{"real": [1.0], "imag": [imag]}], "knock": knock}}
 
 
 def participates(velocity: list[float], parts: int = 1, size: float = 1.0) -> dict:
-    """Return a fit.json's content with one mode, which takes part in strokes of these velocities."""
+    """Return the content of a fit.json with one mode, whose velocity gain is given at these velocities."""
     content = rings(0.0)
     strokes = [{"real": [size] * parts, "imag": [0.0] * parts} for _ in velocity]
     content["ringing"]["participation"] = {"velocity": velocity, "strokes": strokes}
@@ -118,7 +118,7 @@ def participates(velocity: list[float], parts: int = 1, size: float = 1.0) -> di
 
 
 def foreign_knock(folder: Path) -> None:
-    """Build a fit.json whose knock is called FLAC, and is an MP3."""
+    """Build a fit.json with a knock that is named FLAC but is an MP3."""
     fit_file(rings(0.0, {"file": "knock.flac", "scale": 1.0, "rate": 44_100}))(folder)
     (folder / "knock.flac").write_bytes(b"ID3\x03" + bytes(400))
 
@@ -148,11 +148,11 @@ COMMANDS = [
     command("fit-recording-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav are the same"),
     command("fit-several-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[recording]]"),
     command("fit-several-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
-    command("crossval-one", "crossval @/good.wav --note A4", "1 recording is too few"),
-    command("crossval-none", "crossval --note A4", "RECORDING", 2),
+    command("cross-validate-one", "cross-validate @/good.wav --note A4", "1 recording is too few"),
+    command("cross-validate-none", "cross-validate --note A4", "RECORDING", 2),
     command("predict-no-fit", "predict @/none.json @/good.wav", "none.json"),
     command("predict-not-a-fit", "predict @/good.wav @/good.wav", "good.wav"),
-    command("predict-out-in-no-folder", "predict @/fit.json @/good.wav --out @/none/a.wav", "no folder"),
+    command("predict-out-in-no-folder", "predict @/fit.json @/good.wav --out @/none/a.wav", "does not exist"),
     command("fit-out-not-empty", FIT, "--force", build=occupied),
     command("fit-out-is-a-file", "fit @/good.wav --note A4 --out @/file", "file", build=occupied),
     command("fit-out-under-a-file", "fit @/good.wav --note A4 --out @/file/out", "file/out", build=occupied),
@@ -184,7 +184,7 @@ COMMANDS = [
     command("simulate-seconds-nan", f"{SIMULATE} --seconds nan", "seconds"),
     command("simulate-seconds-absurd", f"{SIMULATE} --seconds 1e9", "seconds"),
     command("simulate-too-many-samples", f"{SIMULATE} --seconds 600 --rate 384000", "seconds=600.0 at rate=384000"),
-    command("simulate-out-in-no-folder", "simulate --preset bensa-final --out @/none/a.wav", "no folder"),
+    command("simulate-out-in-no-folder", "simulate --preset bensa-final --out @/none/a.wav", "does not exist"),
     command("simulate-typical-word", "simulate --typical H9 --out @/a.wav", "H9"),
     command("simulate-typical-range", "simulate --typical C9 --out @/a.wav", "note=120"),
     command("simulate-neither", "simulate --out @/a.wav", "--typical", 2),
@@ -194,7 +194,7 @@ COMMANDS = [
     command("simulate-noise-negative", f"{SIMULATE} --noise -60", "noise_db=-60"),
     command("simulate-strike-outside", f"{SIMULATE} --strike 3", "strike=3"),
     command("simulate-pickup-bridge", f"{SIMULATE} --pickup 0.3", "pickup=0.3"),
-    command("simulate-setup-in-no-folder", f"{SIMULATE} --setup-out @/none/s.toml", "no folder"),
+    command("simulate-setup-in-no-folder", f"{SIMULATE} --setup-out @/none/s.toml", "does not exist"),
     command("simulate-rate-word", f"{SIMULATE} --rate 44.1k", "44.1k", 2),
     command("simulate-rate-low", f"{SIMULATE} --rate 100", "rate"),
     command("simulate-rate-absurd", f"{SIMULATE} --rate 100000000", "rate"),
@@ -232,9 +232,9 @@ COMMANDS = [
     render("path-falling", fit_dict() | {"pickup": {"quantity": "pressure", "path": FALLING}}, "pickup.path"),
     render("path-text", fit_dict() | {"pickup": {"quantity": "pressure", "path": "flat"}}, "pickup.path"),
     render("no-recordings", fit_dict() | {"recordings": []}, "recordings is empty"),
-    render("gain-null", take_dict(gain=None), "recordings[0].gain"),
-    render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
-    render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
+    render("gain-null", recording_dict(gain=None), "recordings[0].gain"),
+    render("rate-zero", recording_dict(rate=0), "rate=0 Hz"),
+    render("rate-absurd", recording_dict(rate=1e12), "rate=1e+12 Hz"),
     render("ringing-infinite", rings(float("inf")), "needs as many numbers"),
     render("participation-falls", participates([2.0, 1.0]), "must rise from above 0"),
     render("participation-negative", participates([-1.0, 1.0]), "must rise from above 0"),
@@ -255,12 +255,14 @@ COMMANDS = [
     command("demo-unknown-option", "demo --out @/out --loud", "--loud", 2),
     command("listen-nothing", "listen", "--result", 2),
     command("listen-no-out", "listen @/a @/b", "--out", 2, build=two_sides),
-    command("listen-missing", "listen @/a @/none --out @/out", "none: is no folder", build=two_sides),
+    command("listen-missing", "listen @/a @/none --out @/out", "none: is not a folder", build=two_sides),
     command("listen-file-missing", "listen @/good.wav @/none.wav --out @/out", "none.wav: no such file"),
     command("listen-twice", "listen @/a @/a --out @/out", "is given twice", build=two_sides),
     command("listen-no-pair", "listen @/a @/other --out @/out", "no file name in common", build=two_sides),
-    command("listen-clipped", "listen @/a @/clipped --out @/out", "note.wav: gate clipping", build=two_sides),
-    command("listen-none-left", "listen @/a @/clipped --out @/out --leave-out", "gate clipping", build=two_sides),
+    command("listen-clipped", "listen @/a @/clipped --out @/out", "note.wav: check clipping", build=two_sides),
+    command(
+        "listen-none-left", "listen @/a @/clipped --out @/out --exclude-invalid", "check clipping", build=two_sides
+    ),
     command("listen-rates", "listen @/a @/slower --out @/out", "note.wav: has 16000 Hz", build=two_sides),
     command("listen-channels", "listen @/a @/stereo --out @/out", "note.wav: has 2 channels", build=two_sides),
     command("listen-trials", "listen @/a @/b --out @/out --trials 0", "trials=0", build=two_sides),
@@ -273,13 +275,13 @@ COMMANDS = [
         build=occupied,
     ),
     command("listen-json-alone", "listen @/a @/b --out @/out --json", "--result", 2, build=two_sides),
-    command("listen-result-and-out", "listen --result @/fit.json --out @/out", "stands alone", build=occupied),
+    command("listen-result-and-out", "listen --result @/fit.json --out @/out", "cannot be combined", build=occupied),
     command("listen-result-missing", "listen --result @/none.json", "none.json: no such file"),
     result("text", b"not json", "not answers"),
     result("list", [1], "schema none"),
     result("schema", {"schema": 1, "trials": []}, "schema 1"),
     result("no-trials", {"schema": 2}, "schema 2"),
-    result("empty-trials", {"schema": 2, "trials": []}, "no question was answered"),
+    result("empty-trials", {"schema": 2, "trials": []}, "has no answers"),
     result("trial-number", {"schema": 2, "trials": [7]}, "trials[0] is 7"),
     result("chosen", {"schema": 2, "trials": [{"condition": "x", "chosen": ["a"], "hit": "a"}]}, "chosen ['a']"),
     result("nested", b"[" * 100_000, "not answers"),

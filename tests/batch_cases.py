@@ -1,8 +1,7 @@
 """Batches for the tests: small libraries, quick work that can go wrong on demand, and drivers to be killed.
 
-`quick_work` stands where `fit_unit` does. Its files are fixed by the recordings' contents alone, so that a batch that
-was killed and resumed has something exact to be compared with, and the first bytes of a recording say how it goes
-wrong. The fit itself is tested beside it, on few keys.
+`quick_work` replaces `fit_job`. Its files depend only on the contents of the recordings, so a batch that was killed and
+resumed can be compared exactly. The first word of a recording selects an error. Real fits are tested on few keys.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ NOTES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 
 
 def quick_work(
-    unit: Job,
+    job: Job,
     contents: Sequence[bytes] | None = None,
     scratch: str | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
 ) -> JobResult:
-    """Files made of the recordings' contents after a tenth of a second or so; or what the first word asks for."""
-    data = [Path(s.path).read_bytes() for s in unit.sources] if contents is None else list(contents)
+    """Files computed from the contents of the recordings in about 0.1 s, or the error that the first word selects."""
+    data = [Path(s.path).read_bytes() for s in job.sources] if contents is None else list(contents)
     word, _, rest = data[0].partition(b" ")
-    tell("hammer")
+    report_progress("hammer")
     if word == b"die":
         os.kill(os.getpid(), signal.SIGKILL)
     if word == b"die-once" and not (marker := Path(rest.decode())).exists():
@@ -48,33 +47,33 @@ def quick_work(
         except MemoryError:
             return JobResult({}, "not enough memory")
     if word == b"refuse":
-        return JobResult({}, rest.decode(), sounds_like="C5" if b"sounds" in rest else "")
+        return JobResult({}, rest.decode(), detected_note="C5" if b"sounds" in rest else "")
     if word == b"full":
         return JobResult({}, "/scratch: cannot be written (No space left on device); make room", stop=True)
     slow = float(rest) if word == b"slow" else 0.02
     time.sleep(slow + 0.001 * (data[0][-1] % 50))
     digest = hashlib.sha256(b"".join(data)).hexdigest()
-    document = {"parameters": {"c": {"value": int(digest[:12], 16) / 7}}, "note": unit.note}
+    document = {"parameters": {"c": {"value": int(digest[:12], 16) / 7}}, "note": job.note}
     files = {"fit.json": json.dumps(document).encode(), "fitted.wav": data[0] * 5000}
     return JobResult(files, detail=str(os.getpid()), seconds=slow, memory=1)
 
 
 def library(folder: Path, contents: Sequence[str]) -> list[Job]:
-    """One unit a text, from A0 upwards; each one's only recording holds the text."""
+    """One job for each text, from A0 upwards. Its only recording contains the text."""
     folder.mkdir(exist_ok=True)
-    units = []
+    jobs = []
     for i, text in enumerate(contents):
         note = f"{NOTES[(9 + i) % 12]}{(9 + i) // 12}"
         file = folder / f"{note.replace('#', 's')}.wav"
-        if not file.exists() or file.read_text(encoding="utf-8") != text:  # a driver that is killed leaves no half
+        if not file.exists() or file.read_text(encoding="utf-8") != text:  # leaves no partial file if killed
             file.write_text(text, encoding="utf-8")
         source = Source(str(file), file.name, hashlib.sha256(text.encode()).hexdigest())
-        units.append(Job(file.stem, note, (source,), Settings(), versions()))
-    return units
+        jobs.append(Job(file.stem, note, (source,), Settings(), versions()))
+    return jobs
 
 
 def results(out: Path) -> dict[str, dict[str, bytes]]:
-    """Contents of every key's folder, the record with its times and figures of the machine taken out."""
+    """Contents of the folder of every key. Times and machine figures are removed from the record."""
     found = {}
     for folder in sorted((out / "keys").iterdir()):
         files = {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
@@ -88,7 +87,7 @@ def results(out: Path) -> dict[str, dict[str, bytes]]:
 
 
 def python(code: str, *arguments: object, **more) -> subprocess.Popen:
-    """Run `code` in a Python of its own that finds the tests' modules."""
+    """Run `code` in another Python process that can import the modules of the tests."""
     where = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-c", code, *map(str, arguments)]
     pipe = subprocess.PIPE
@@ -98,25 +97,25 @@ def python(code: str, *arguments: object, **more) -> subprocess.Popen:
 
 
 def drive(source: str, out: str, scheduler: str = "") -> None:
-    """Run a batch over the files in `source` with `quick_work`: what a driver process does."""
+    """Run a batch over the files in `source` with `quick_work`, in a driver process."""
     from pianofit.batch import Cluster, Local, run_batch
 
-    # What starts the tests in the background may have had Ctrl-C ignored, and children inherit that.
+    # If the tests run in the background, Ctrl-C may be ignored, and child processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     texts = [p.read_text(encoding="utf-8") for p in _in_order(Path(source))]
-    units = library(Path(source), texts)
+    jobs = library(Path(source), texts)
 
     def workers(store):
         if scheduler:
             return Cluster(scheduler, by_value=True, work=quick_work)
         return Local(2, 2**31, 60.0, store.scratch, work=quick_work)
 
-    found = run_batch(units, Path(out), workers, tell=lambda p: print(p.event, flush=True) if p.event else None)
+    found = run_batch(jobs, Path(out), workers, tell=lambda p: print(p.event, flush=True) if p.event else None)
     print(json.dumps(found["counts"]))
 
 
 def _in_order(folder: Path) -> list[Path]:
-    """The library's files in the order of their notes."""
+    """Files of the library in the order of their notes."""
     from pianofit.batch.manifest import read_keys
 
     return [key.samples[0].file for key in read_keys(folder, pattern="{note}")[0]]
@@ -127,7 +126,7 @@ CLI = "import sys; from pianofit.cli import main; sys.exit(main())"
 
 
 def killed(process: subprocess.Popen) -> None:
-    """Kill a process as nothing can refuse, and wait for its end."""
+    """Kill a process by SIGKILL, and wait for its end."""
     process.kill()
     process.communicate()
 
@@ -135,14 +134,14 @@ def killed(process: subprocess.Popen) -> None:
 def struck(
     file: Path, midi: float, velocity: float, *, seconds: float = 1.5, rate: int = 22_050, seed: int = 0
 ) -> None:
-    """Write what a typical string of the note sounds like, struck at `velocity` m/s, with noise 60 dB below."""
+    """Write a synthetic recording of a typical string, struck at `velocity` m/s, with noise 60 dB below."""
     from pianofit.io.files import encode_wav
     from pianofit.literature import typical
     from pianofit.model import simulate
 
-    it = typical(midi)
-    hammer = it.hammer._replace(v_H0=velocity)
-    strike = simulate(it.string, hammer, it.geometry, rate=rate, quantity="bridge-force")
+    piano = typical(midi)
+    hammer = piano.hammer._replace(v_H0=velocity)
+    strike = simulate(piano.string, hammer, piano.geometry, rate=rate, quantity="bridge-force")
     samples = np.pad(strike.waveform(rate, int(seconds * rate)), (rate // 20, 0))
     random = np.random.default_rng([seed, round(10 * midi), round(100 * velocity)])
     samples += random.normal(0.0, 1e-3 * np.sqrt(np.mean(samples[rate // 20 :][:rate] ** 2)), len(samples))

@@ -1,4 +1,4 @@
-"""The batch loop with real processes and quick work: what dies, hangs, swells or is cut short loses nothing."""
+"""The batch loop with real processes and quick work. No result is lost if a worker dies, hangs or grows too large."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from pianofit.threads import cores
 TEXTS = [f"note {i}" for i in range(8)]
 
 
-def run(units, out: Path, *, workers: int = 2, memory: int = 2**31, limit: float = 60.0, **more) -> dict:
-    return run_batch(units, out, lambda s: Local(workers, memory, limit, s.scratch, work=quick_work), **more)
+def run(jobs, out: Path, *, workers: int = 2, memory: int = 2**31, limit: float = 60.0, **more) -> dict:
+    return run_batch(jobs, out, lambda s: Local(workers, memory, limit, s.scratch, work=quick_work), **more)
 
 
 def no_workers(_):
@@ -36,34 +36,34 @@ def no_workers(_):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A library, and its results from a batch that nothing interrupted."""
+    """A library, and its results from an uninterrupted batch."""
     place = tmp_path_factory.mktemp("whole")
-    units = library(place / "in", TEXTS)
-    found = run(units, place / "out")
+    jobs = library(place / "in", TEXTS)
+    found = run(jobs, place / "out")
     assert found["counts"] == {"done": 8, "failed": 0, "running": 0, "waiting": 0}
-    return place, units, results(place / "out")
+    return place, jobs, results(place / "out")
 
 
 def test_the_folder_is_exactly_what_it_is_said_to_be(whole):
-    place, units, found = whole
+    place, jobs, found = whole
     assert {p.name for p in (place / "out").iterdir()} == {"index.html", "keys", "keys.csv", "ledger"}
     assert {p.name for p in (place / "out/ledger").iterdir()} == {"lock"}, "what is done needs no ledger"
-    assert list(found) == sorted(u.key for u in units)
+    assert list(found) == sorted(u.key for u in jobs)
     assert set(found["A0"]) == {"fit.json", "fitted.wav", "record"}
-    for unit in units:
-        expected = quick_work(unit).files
-        assert {n: found[unit.key][n] for n in expected} == expected
+    for job in jobs:
+        expected = quick_work(job).files
+        assert {n: found[job.key][n] for n in expected} == expected
 
 
 def test_what_is_done_is_skipped_and_what_changed_is_not(whole, tmp_path):
-    place, units, found = whole
+    place, jobs, found = whole
     shutil.copytree(place / "out", tmp_path / "out")
-    run_batch(units, tmp_path / "out", no_workers)
-    assert set(plan_jobs(units, tmp_path / "out").values()) == {"done"}
+    run_batch(jobs, tmp_path / "out", no_workers)
+    assert set(plan_jobs(jobs, tmp_path / "out").values()) == {"done"}
     other = library(tmp_path / "in", ["another", *TEXTS[1:]])
     (tmp_path / "out/keys/As0/fitted.wav").write_bytes(b"by hand")
     shutil.rmtree(tmp_path / "out/keys/B0")
-    settings = units[3].settings._replace(seed=4)
+    settings = jobs[3].settings._replace(seed=4)
     other[3] = other[3]._replace(settings=settings)
     assert [plan_jobs(other, tmp_path / "out")[u.key] for u in other[:5]] == [
         "to do: inputs changed", "to do: its folder was changed", "to do: new", "to do: settings changed", "done",
@@ -72,52 +72,52 @@ def test_what_is_done_is_skipped_and_what_changed_is_not(whole, tmp_path):
     run(other, tmp_path / "out", tell=lambda p: events.append(p.event))
     again = results(tmp_path / "out")
     assert [k for k in again if again[k]["fit.json"] != found[k]["fit.json"]] == ["A0"]
-    assert "A0: inputs changed, so it is fitted anew" in events
+    assert any(event.startswith("A0: inputs changed") for event in events)
 
 
 def test_a_lost_ledger_loses_no_key(whole, tmp_path):
-    place, units, _ = whole
+    place, jobs, _ = whole
     shutil.copytree(place / "out", tmp_path / "out")
     shutil.rmtree(tmp_path / "out/ledger")
-    run_batch(units, tmp_path / "out", no_workers)
+    run_batch(jobs, tmp_path / "out", no_workers)
     assert status(tmp_path / "out")["counts"]["done"] == 8
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"key": "As0"}', "{" * 5000])
 def test_an_entry_that_cannot_be_read_has_its_key_fitted_anew(tmp_path, content):
-    units = library(tmp_path / "in", ["one", "refuse is silent"])
-    run(units, tmp_path / "out")
+    jobs = library(tmp_path / "in", ["one", "refuse is silent"])
+    run(jobs, tmp_path / "out")
     entry = tmp_path / "out/ledger/As0.json"
     assert json.loads(entry.read_text())["reason"] == "is silent"
     entry.write_text(content)
-    assert plan_jobs(units, tmp_path / "out") == {"A0": "done", "As0": "to do: new"}
+    assert plan_jobs(jobs, tmp_path / "out") == {"A0": "done", "As0": "to do: new"}
     assert status(tmp_path / "out")["counts"] == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
 
 
 def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
-    """Between the folder and its entry there is a moment: the folder counts."""
-    units = library(tmp_path / "in", ["refuse is silent"])
-    run(units, tmp_path / "out")
+    """The folder is written before its entry, so the folder decides."""
+    jobs = library(tmp_path / "in", ["refuse is silent"])
+    run(jobs, tmp_path / "out")
     document = json.loads((tmp_path / "out/ledger/A0.json").read_text())
     (tmp_path / "out/ledger/A0.json").write_text(json.dumps(document | {"state": "running"}))
-    Store(tmp_path / "out").commit("A0", {"fit.json": b"1"}, {"hash": units[0].hash})
+    Store(tmp_path / "out").commit("A0", {"fit.json": b"1"}, {"hash": jobs[0].hash})
     assert status(tmp_path / "out")["counts"]["done"] == 1
-    assert plan_jobs(units, tmp_path / "out") == {"A0": "done"}
+    assert plan_jobs(jobs, tmp_path / "out") == {"A0": "done"}
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------
 
 
 def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path):
-    units = library(tmp_path / "in", ["one", "refuse is silent", "three"])
-    found = run(units, tmp_path / "out")
+    jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
+    found = run(jobs, tmp_path / "out")
     assert found["counts"] == {"done": 2, "failed": 1, "running": 0, "waiting": 0}
     assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
-    again = run_batch(units, tmp_path / "out", no_workers)
+    again = run_batch(jobs, tmp_path / "out", no_workers)
     assert again["keys"][1]["reason"] == "is silent"
-    assert plan_jobs(units, tmp_path / "out")["As0"] == "failed: is silent"
+    assert plan_jobs(jobs, tmp_path / "out")["As0"] == "failed: is silent"
     events = []
-    run(units, tmp_path / "out", retry_failed=True, tell=lambda p: events.append(p.event))
+    run(jobs, tmp_path / "out", retry_failed=True, tell=lambda p: events.append(p.event))
     assert [e for e in events if e] == ["As0: failed: is silent"]
     mended = library(tmp_path / "in", ["one", "two", "three"])
     assert run(mended, tmp_path / "out")["counts"]["done"] == 3
@@ -125,38 +125,41 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path):
 
 def test_a_worker_that_dies_takes_only_its_unit_with_it(tmp_path):
     texts = ["one", "die", "three", f"die-once {tmp_path / 'marker'}", "five", "six"]
-    units = library(tmp_path / "in", texts)
+    jobs = library(tmp_path / "in", texts)
     events = []
-    found = run(units, tmp_path / "out", tell=lambda p: events.append(p.event))
+    found = run(jobs, tmp_path / "out", tell=lambda p: events.append(p.event))
     assert found["counts"] == {"done": 5, "failed": 1, "running": 0, "waiting": 0}
     dead = found["keys"][1]
-    assert dead["reason"].startswith("its worker was ended by SIGKILL, perhaps for want of memory")
+    assert "SIGKILL" in dead["reason"]
+    assert "memory" in dead["reason"]
     assert dead["reason"].endswith("2 times")
     assert found["keys"][3]["attempts"] == 2
     assert sum("it is tried again" in e for e in events) == 2
 
 
 def test_a_fit_without_end_and_one_without_bounds_are_stopped(tmp_path):
-    units = library(tmp_path / "in", ["hang", "swell", "three"])
-    found = run(units, tmp_path / "out", limit=3.0, memory=2**30)
+    jobs = library(tmp_path / "in", ["hang", "swell", "three"])
+    found = run(jobs, tmp_path / "out", limit=3.0, memory=2**30)
     assert [k["state"] for k in found["keys"]] == ["failed", "failed", "done"]
-    assert found["keys"][0]["reason"] == "took more than 3 s and was stopped; give --time-limit more if it may"
+    assert "3 s" in found["keys"][0]["reason"]
+    assert "--time-limit" in found["keys"][0]["reason"]
     assert "memory" in found["keys"][1]["reason"]
 
 
 def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.batch.process_pool.RECYCLE", 2)
-    by = []
+    monkeypatch.setattr("pianofit.batch.process_pool.MAX_JOBS_PER_WORKER", 2)
+    processes = []
     with Local(1, 2**31, 60.0, tmp_path / "scratch", work=quick_work) as worker:
-        for unit in library(tmp_path / "in", TEXTS[:5]):
-            worker.submit(unit)
+        for job in library(tmp_path / "in", TEXTS[:5]):
+            worker.submit(job)
             while not (found := worker.finished(1.0)):
                 pass
-            by.append(found[0][1].detail)
-    assert by[0] == by[1] != by[2] == by[3] != by[4]
+            processes.append(found[0][1].detail)
+    first, second, third, fourth, fifth = processes
+    assert first == second != third == fourth != fifth
 
 
-def count_threads(unit, *_) -> JobResult:
+def count_threads(job, *_) -> JobResult:
     from pianofit.inference.batched_model import thread_pool
 
     return JobResult({}, detail=f"{cores()} {thread_pool()._max_workers}")
@@ -170,62 +173,65 @@ def test_a_worker_has_one_thread(tmp_path):
     assert found[0][1].detail == "1 1"
 
 
-@pytest.mark.parametrize(("said", "found"), [("3", 3), ("", None), ("0", None), ("all", None)])
-def test_threads_are_what_the_machine_was_told(monkeypatch, said, found):
-    monkeypatch.setenv("NPROC", said)
+@pytest.mark.parametrize(("setting", "expected"), [("3", 3), ("", None), ("0", None), ("all", None)])
+def test_the_number_of_threads_is_that_of_the_environment(monkeypatch, setting, expected):
+    monkeypatch.setenv("NPROC", setting)
     machine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    assert cores() == (found or machine)
+    assert cores() == (expected or machine)
 
 
-def test_what_an_earlier_run_left_beside_a_failure_is_told(tmp_path):
+def test_results_of_an_earlier_run_are_reported(tmp_path):
     run(library(tmp_path / "in", ["one", "two"]), tmp_path / "out")
     found = run(library(tmp_path / "in", ["refuse is silent"]), tmp_path / "out")
     assert found["strangers"] == ["A0", "As0"]
 
 
 def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_path):
-    from pianofit.batch.job import fit_unit
+    from pianofit.batch.job import fit_job
 
-    (unit,) = library(tmp_path / "in", ["one"])
+    (job,) = library(tmp_path / "in", ["one"])
     (tmp_path / "in/A0.wav").write_text("two")
-    assert "A0.wav: has changed since the batch began" in fit_unit(unit).error
+    error = fit_job(job).error
+    assert "A0.wav" in error
+    assert "changed" in error
 
 
 def test_a_worker_with_another_version_stops_the_batch(tmp_path):
-    from pianofit.batch.job import fit_unit
+    from pianofit.batch.job import fit_job
 
-    (unit,) = library(tmp_path / "in", ["one"])
-    outcome = fit_unit(unit._replace(versions=unit.versions | {"jax": "0.0.1"}))
+    (job,) = library(tmp_path / "in", ["one"])
+    outcome = fit_job(job._replace(versions=job.versions | {"jax": "0.0.1"}))
     assert outcome.stop
-    assert "the batch 0.0.1; install the same there" in outcome.error
+    assert "jax" in outcome.error
+    assert "0.0.1" in outcome.error
 
 
 # --- folders ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_second_batch_in_the_folder_refuses(tmp_path):
-    units = library(tmp_path / "in", ["one"])
+    jobs = library(tmp_path / "in", ["one"])
     (tmp_path / "out").mkdir()
-    with locked(tmp_path / "out"), pytest.raises(OutputError, match="another batch is at work in this folder"):
-        run(units, tmp_path / "out")
-    assert run(units, tmp_path / "out")["counts"]["done"] == 1
+    with locked(tmp_path / "out"), pytest.raises(OutputError, match="another batch"):
+        run(jobs, tmp_path / "out")
+    assert run(jobs, tmp_path / "out")["counts"]["done"] == 1
 
 
 def test_folders_that_are_no_batchs(tmp_path):
-    units = library(tmp_path / "in", ["one"])
+    jobs = library(tmp_path / "in", ["one"])
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="is a file; give a folder"):
-        run(units, tmp_path / "file")
-    with pytest.raises(OutputError, match="not empty and holds no batch"):
-        run(units, tmp_path / "in")
-    with pytest.raises(OutputError, match="/proc/batch: cannot be written to"):
-        run(units, Path("/proc/batch"))
-    with pytest.raises(OutputError, match="holds no batch"):
+    with pytest.raises(OutputError, match="is a file"):
+        run(jobs, tmp_path / "file")
+    with pytest.raises(OutputError, match="not empty"):
+        run(jobs, tmp_path / "in")
+    with pytest.raises(OutputError, match="/proc/batch"):
+        run(jobs, Path("/proc/batch"))
+    with pytest.raises(OutputError, match="no batch"):
         status(tmp_path / "in")
 
 
 def mounted(code: str, folder: Path, size: str, *options: str) -> subprocess.CompletedProcess:
-    """Run `code` with a small disk of its own mounted at `folder`, where the system allows that."""
+    """Run `code` with a small disk mounted at `folder`, if the system allows that."""
     tool = shutil.which("unshare")
     if tool is None or subprocess.run([tool, "-m", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no private mounts here")
@@ -235,7 +241,7 @@ def mounted(code: str, folder: Path, size: str, *options: str) -> subprocess.Com
 
 
 def shell(code: str, *arguments: object) -> str:
-    """A driver's command line for a shell."""
+    """Command line of a driver for a shell."""
     where = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     return f"PYTHONPATH={shlex.quote(where)} " + shlex.join([sys.executable, "-c", code, *map(str, arguments)])
 
@@ -248,7 +254,7 @@ def test_a_full_disk_stops_the_batch_and_the_next_run_goes_on(whole, tmp_path):
     done = mounted(
         f"({drive}; echo code $?; ls -A {out}/ledger {out}/keys; {grow}; {drive}; cp -r {out} {kept})", out, "300k"
     )
-    assert "the disk is full; what is finished is kept: make room and run the same command" in done.stderr
+    assert "the disk is full" in done.stderr
     first, _, second = done.stdout.partition("code 1")
     assert "done in" in first
     assert "unfinished" not in second
@@ -260,13 +266,14 @@ def test_a_read_only_folder_is_named(whole, tmp_path):
     place, _, _ = whole
     out = tmp_path / "disk"
     done = mounted(f"mount -o remount,ro none {out} && {shell(DRIVE, place / 'in', out)}", out, "1m")
-    assert f"{out}: cannot be written to (Read-only file system); choose a folder" in done.stderr
+    assert str(out) in done.stderr
+    assert "Read-only file system" in done.stderr
 
 
 def test_no_room_for_a_workers_scratch_stops_the_batch(tmp_path):
-    units = library(tmp_path / "in", ["one", "full", "three"])
-    with pytest.raises(OutputError, match=r"No space left on device\); make room; what is finished is kept"):
-        run(units, tmp_path / "out", workers=1)
+    jobs = library(tmp_path / "in", ["one", "full", "three"])
+    with pytest.raises(OutputError, match="No space left on device"):
+        run(jobs, tmp_path / "out", workers=1)
     assert [k["state"] for k in status(tmp_path / "out")["keys"]] == ["done", "waiting", "waiting"]
 
 
@@ -292,17 +299,17 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
 
 
 def check_remains(out: Path) -> set[str]:
-    """After a kill: every key's folder is whole; returns their names."""
+    """Check after a kill that the folder of every key is complete, and return the names of these keys."""
     if not (out / "keys").is_dir():
         return set()
     store = Store(out)
-    there = store.finished()
-    assert all(store.record(key) is not None for key in there)
-    return there
+    keys = store.finished()
+    assert all(store.record(key) is not None for key in keys)
+    return keys
 
 
 def test_killed_at_random_moments_a_batch_goes_on_and_ends_the_same(whole, tmp_path):
-    place, units, found = whole
+    place, jobs, found = whole
     moments = random.Random(7)  # noqa: S311
     before: set[str] = set()
     stamps = {}
@@ -310,15 +317,15 @@ def test_killed_at_random_moments_a_batch_goes_on_and_ends_the_same(whole, tmp_p
         process = python(DRIVE, place / "in", tmp_path / "out")
         time.sleep(moments.uniform(0.3, 1.6))
         killed(process)
-        there = check_remains(tmp_path / "out")
-        assert before <= there, "nothing finished is lost"
-        new = {k: (tmp_path / "out/keys" / k).stat().st_mtime_ns for k in there}
-        assert {k: new[k] for k in stamps} == stamps, "nothing finished is done again"
-        before, stamps = there, new
+        after = check_remains(tmp_path / "out")
+        assert before <= after, "a finished key was lost"
+        new = {k: (tmp_path / "out/keys" / k).stat().st_mtime_ns for k in after}
+        assert {k: new[k] for k in stamps} == stamps, "a finished key was fitted again"
+        before, stamps = after, new
     last = python(DRIVE, place / "in", tmp_path / "out")
     output, errors = last.communicate(timeout=60)
     assert last.returncode == 0, errors
-    assert json.loads(output.splitlines()[-1])["done"] == len(units)
+    assert json.loads(output.splitlines()[-1])["done"] == len(jobs)
     assert results(tmp_path / "out") == found
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"index.html", "keys", "keys.csv", "ledger"}
 
@@ -365,7 +372,7 @@ def test_interrupted_it_leaves_nothing_running(tmp_path):
     assert not (tmp_path / "out/ledger/scratch").exists()
 
 
-# --- what is told -----------------------------------------------------------------------------------------------------
+# --- reports ----------------------------------------------------------------------------------------------------------
 
 
 def test_time_left_is_of_what_waits_and_what_runs():
@@ -381,7 +388,9 @@ def test_wrong_names_are_suggested_one_by_one_or_all_together(tmp_path):
     def entry(note: str, like: str) -> Entry:
         return Entry(note, note, "", "failed", detected_note=like)
 
-    assert suggestions([entry("C4", ""), entry("D4", "E4")]) == ["D4: its name says D4, its pitch E4; correct its note"]
-    (said,) = suggestions([entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")])
-    assert said.startswith("3 of 4 keys sound 12 semitones above their names")
-    assert "--transpose 12" in said
+    (suggestion,) = suggestions([entry("C4", ""), entry("D4", "E4")])
+    assert suggestion.startswith("D4: ")
+    assert "E4" in suggestion
+    (suggestion,) = suggestions([entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")])
+    assert suggestion.startswith("3 of 4 keys")
+    assert "--transpose 12" in suggestion

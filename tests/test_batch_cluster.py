@@ -1,4 +1,4 @@
-"""A batch through a real dask.distributed cluster: processes are killed, results stay what they are without it."""
+"""A batch through a real dask.distributed cluster. Processes are killed, and the results are those of local workers."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class Machines:
         )  # fmt: skip
 
     def add(self) -> subprocess.Popen:
-        """Start a worker of one thread, without a nanny that would start it again."""
+        """Start a worker of one thread, without a nanny, which would start it again."""
         options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
         return self._start("worker", *options, "--local-directory", str(self.folder))
 
     def end(self) -> None:
-        """Kill them all."""
+        """Kill all processes."""
         for process in (*self.workers, self.scheduler):
             killed(process)
 
@@ -55,7 +55,7 @@ class Machines:
 def wait(condition, seconds: float = 60.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "it did not come about"
+        assert time.monotonic() < deadline, "the condition was not met in time"
         time.sleep(0.05)
 
 
@@ -68,36 +68,36 @@ def cluster(folder: Path, workers: int) -> Iterator[Machines]:
         made.end()
 
 
-def expected(units, out: Path) -> dict:
-    """Results of the machine's own processes."""
-    run_batch(units, out, lambda s: Local(2, 2**31, 60.0, s.scratch, work=quick_work))
+def expected(jobs, out: Path) -> dict:
+    """Results of local processes."""
+    run_batch(jobs, out, lambda s: Local(2, 2**31, 60.0, s.scratch, work=quick_work))
     return results(out)
 
 
 @pytest.mark.parametrize("by_value", [True, False])
 def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(tmp_path, by_value):
     texts = [f"slow {0.4 + 0.01 * i}" for i in range(6)]
-    units = library(tmp_path / "in", texts)
-    with cluster(tmp_path / "dask", 2) as it:
+    jobs = library(tmp_path / "in", texts)
+    with cluster(tmp_path / "dask", 2) as machines:
         events = []
 
         def tell(progress):
             if progress.event:
                 events.append(progress.event)
-                if len(events) == 1:  # the other worker is in the middle of a unit
-                    killed(it.workers[0])
+                if len(events) == 1:  # the other worker is in the middle of a job
+                    killed(machines.workers[0])
 
-        found = run_batch(units, tmp_path / "out", lambda _: Cluster(it.address, by_value, quick_work), tell=tell)
+        found = run_batch(jobs, tmp_path / "out", lambda _: Cluster(machines.address, by_value, quick_work), tell=tell)
     assert found["counts"] == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
-    assert results(tmp_path / "out") == expected(units, tmp_path / "own")
+    assert results(tmp_path / "out") == expected(jobs, tmp_path / "own")
 
 
 def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_path):
     texts = [f"slow {0.3 + 0.01 * i}" for i in range(8)]
-    units = library(tmp_path / "in", texts)
+    jobs = library(tmp_path / "in", texts)
     out = tmp_path / "out"
-    with cluster(tmp_path / "dask", 2) as it:
-        process = python(DRIVE, tmp_path / "in", out, it.address)
+    with cluster(tmp_path / "dask", 2) as machines:
+        process = python(DRIVE, tmp_path / "in", out, machines.address)
         assert process.stdout is not None
         assert "done in" in process.stdout.readline()
         killed(process)
@@ -106,30 +106,30 @@ def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_
 
         def tell(progress):
             if "done in" in progress.event:
-                killed(it.scheduler)
+                killed(machines.scheduler)
 
-        with pytest.raises(OutputError, match="the scheduler is gone; what is finished is kept: start one and run"):
-            run_batch(units, out, lambda _: Cluster(it.address, True, quick_work), tell=tell)
+        with pytest.raises(OutputError, match="scheduler is gone"):
+            run_batch(jobs, out, lambda _: Cluster(machines.address, True, quick_work), tell=tell)
         kept = status(out)["counts"]
         assert kept["done"] > len(first)
         assert kept["done"] + kept["waiting"] == 8
-    with cluster(tmp_path / "dask2", 1) as it:
-        run_batch(units, out, lambda _: Cluster(it.address, True, quick_work))
-    assert results(out) == expected(units, tmp_path / "own")
+    with cluster(tmp_path / "dask2", 1) as machines:
+        run_batch(jobs, out, lambda _: Cluster(machines.address, True, quick_work))
+    assert results(out) == expected(jobs, tmp_path / "own")
 
 
 def test_what_fails_on_a_worker_is_told_here(tmp_path):
-    units = library(tmp_path / "in", ["one", "refuse is silent", "three"])
-    with cluster(tmp_path / "dask", 1) as it:
-        found = run_batch(units, tmp_path / "out", lambda _: Cluster(it.address, True, quick_work))
+    jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
+    with cluster(tmp_path / "dask", 1) as machines:
+        found = run_batch(jobs, tmp_path / "out", lambda _: Cluster(machines.address, True, quick_work))
         (tmp_path / "in/A0.wav").unlink()
-        gone = run_batch(units[:1], tmp_path / "out2", lambda _: Cluster(it.address, True, quick_work))
+        gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: Cluster(machines.address, True, quick_work))
     assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
     assert "A0.wav: no such file" in gone["keys"][0]["reason"]
 
 
 def test_no_scheduler_is_one_clear_message(monkeypatch):
-    monkeypatch.setattr("pianofit.batch.dask_pool.PATIENCE", 0.5)
+    monkeypatch.setattr("pianofit.batch.dask_pool.TIMEOUT_S", 0.5)
     with pytest.raises(ParameterError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there"):
         Cluster("tcp://127.0.0.1:9", True)
     with pytest.raises(PianofitError, match="no scheduler answers there"):

@@ -1,4 +1,4 @@
-"""The pattern of file names is guessed from the names alone, and every name that it reads has its right note."""
+"""The pattern of file names is guessed from the names alone, and every name that it matches has the correct note."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from pianofit.analysis.note_names import midi_to_note, note_to_midi
-from pianofit.batch.guess import DISTINCT, guess_pattern, numbers_off
+from pianofit.batch.guess import MIN_VALUE_RATIO, guess_pattern, midi_number_offset
 from pianofit.batch.manifest import _expression, read_keys
 from pianofit.errors import SetupError
 
@@ -15,7 +15,7 @@ NOTES = ("A0", "C2", "F#2", "Bb3", "C4", "D#5")
 
 
 def names(form: str, notes=NOTES, **values: tuple) -> list[str]:
-    """File names by a form with {n} for the note, {m} for its MIDI number, and other fields."""
+    """File names from a template with {n} for the note, {m} for its MIDI number, and other fields."""
     rows = itertools.product(notes, *values.values())
     return [form.format(n=n, m=note_to_midi(n), **dict(zip(values, rest, strict=True))) for n, *rest in rows]
 
@@ -44,7 +44,7 @@ LIBRARIES = {
 def test_the_pattern_of_a_library_is_guessed(library):
     listed, expected = LIBRARIES[library]
     assert guess_pattern(listed, _expression) == expected
-    assert guess_pattern(listed[::-1], _expression) == expected  # whatever their order
+    assert guess_pattern(listed[::-1], _expression) == expected  # in any order
 
 
 @pytest.mark.parametrize("library", [name for name in LIBRARIES if name != "MIDI number"])
@@ -65,14 +65,14 @@ def test_a_number_is_the_note_where_it_has_clearly_more_values():
     def library(keys: int) -> list[str]:
         return names("{m}_{v}", [midi_to_note(36 + i) for i in range(keys)], v=(30, 60, 90))
 
-    assert guess_pattern(library(3 * DISTINCT), _expression) == "{note}_{layer}"
-    assert guess_pattern(library(3 * DISTINCT - 1), _expression) is None
+    assert guess_pattern(library(3 * MIN_VALUE_RATIO), _expression) == "{note}_{layer}"
+    assert guess_pattern(library(3 * MIN_VALUE_RATIO - 1), _expression) is None
 
 
 def test_numbers_that_count_octaves_otherwise_are_found():
-    assert numbers_off(names("{m:03d}-{n}-v{v}", v=(64, 100))) == 0
-    assert numbers_off([f"{note_to_midi(n) + 12}-{n}-v{v}" for n in NOTES for v in (64, 100)]) == 12
-    assert numbers_off(names("{n}-v{v}", v=(64, 100))) == 0
+    assert midi_number_offset(names("{m:03d}-{n}-v{v}", v=(64, 100))) == 0
+    assert midi_number_offset([f"{note_to_midi(n) + 12}-{n}-v{v}" for n in NOTES for v in (64, 100)]) == 12
+    assert midi_number_offset(names("{n}-v{v}", v=(64, 100))) == 0
 
 
 def test_a_folder_is_read_by_the_guess_and_the_guess_is_said(tmp_path):

@@ -1,4 +1,4 @@
-"""What a batch says of itself: its page and its table, and what it and `status` tell while it is at work."""
+"""Reports of a batch: its page and its table, its progress, and `status` while it is running."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from pianofit.batch.html_index import Index
 from pianofit.batch.job_records import Entry, write_record
 from pianofit.batch.store import Store, open_folder
 from pianofit.batch.traffic_lights import lights
-from pianofit.cli.batch import _line, _summary
+from pianofit.cli import main
+from pianofit.cli.batch import _line
 from pianofit.io.files import encode_wav
 from pianofit.report.sound import k_weighted_mean_square
 
@@ -31,7 +32,7 @@ RATE = 22_050
 
 @pytest.fixture
 def store(tmp_path) -> Store:
-    """Two keys that are done, one of them beside its recording, and one that has failed."""
+    """Two finished keys, of which one still has its recording, and a failed key."""
     store = open_folder(tmp_path / "out")
     for midi, key in ((60, "grand-C4"), (42, "grand-Fs2")):
         note = true_note(midi)
@@ -79,19 +80,19 @@ def test_the_page_shows_every_key_and_what_can_be_heard(store):
     assert "<script>alert(1)" not in html
     assert "&lt;script&gt;alert(1)" in html
     assert html.count('href="keys/grand-C4/fit.json"') == html.count('href="keys/grand-Fs2/fit.json"') == 1
-    assert "its recording is not where it was fitted" in html  # of F#2
+    assert html.count("recording moved or changed") == 1  # the recording of F#2
     assert "200.0 to 300.0" in html or "200 to 300" in html
     clips = re.findall(r'data-name="(original|fitted)"[^>]*href="data:audio/wav;base64,([^"]+)"', html)
     assert [name for name, _ in clips] == ["original", "fitted"]
-    loud = []
+    loudness = []
     for _, text in clips:
         samples = np.frombuffer(base64.b64decode(text)[44:], "<i2") / 32768
-        loud.append(10 * np.log10(k_weighted_mean_square(samples[:RATE], RATE)))
-    assert loud[0] == pytest.approx(loud[1], abs=0.02)  # their files are 14 dB apart
+        loudness.append(10 * np.log10(k_weighted_mean_square(samples[:RATE], RATE)))
+    assert loudness[0] == pytest.approx(loudness[1], abs=0.02)  # their files differ by 14 dB
 
 
 def test_a_damaged_record_hides_no_other_key(store):
-    store.install("odd", {"fit.json": b"{}"}, {"hash": "x", "note": "H9"})
+    store.commit("odd", {"fit.json": b"{}"}, {"hash": "x", "note": "H9"})
     (store.keys / "odd/fit.json").write_bytes(b"[1, 2")
     Index(store).write()
     rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
@@ -102,7 +103,7 @@ def test_a_damaged_record_hides_no_other_key(store):
 def test_a_recording_that_is_another_one_now_is_not_played(store, tmp_path):
     (tmp_path / "grand-C4.wav").write_bytes(encode_wav(np.random.default_rng(1).normal(0, 0.1, RATE), RATE))
     Index(store).write()
-    assert (store.folder / "index.html").read_text().count("its recording is not where it was fitted") == 2
+    assert (store.folder / "index.html").read_text().count("recording moved or changed") == 2
 
 
 def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
@@ -112,12 +113,12 @@ def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
         pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
     Index(store).write()
     page_of = (store.folder / "index.html").as_uri()
-    said, requests = [], []
+    messages, requests = [], []
     with sync_api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_page(viewport={"width": 400, "height": 800})
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("console", lambda message: messages.append(message.text))
+        page.on("pageerror", lambda error: messages.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
         page.goto(page_of)
         assert page.evaluate("document.documentElement.scrollWidth") <= 400
@@ -125,7 +126,7 @@ def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
         page.locator(".choice").nth(1).click()
         page.wait_for_function("() => pianofitPlayer.state.playing && pianofitPlayer.state.chosen === 'fitted'")
         browser.close()
-    assert said == []
+    assert messages == []
     assert [url for url in requests if not url.startswith("data:")] == [page_of]
 
 
@@ -173,48 +174,48 @@ def test_the_table_is_sorted_by_keyboard_and_reads_without_colour(store):
     if not Path(chromium).exists():
         pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
     files = {"fit.json": json.dumps({"schema": 0}).encode()}
-    store.install("grand-Z", files, {"hash": "z", "note": "C5", "recordings": [1], "seconds": 1.0})
+    store.commit("grand-Z", files, {"hash": "z", "note": "C5", "recordings": [1], "seconds": 1.0})
     Index(store).write()
     with sync_api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_page(viewport={"width": 1400, "height": 800})
         page.goto((store.folder / "index.html").as_uri())
-        wide = page.evaluate("(([one]) => one.scrollWidth - one.clientWidth)(document.querySelectorAll('.keys-frame'))")
-        keys = lambda: [text.split()[0] for text in page.locator(".keys-found tbody th").all_inner_texts()]  # noqa: E731
+        overflow = page.evaluate("(([x]) => x.scrollWidth - x.clientWidth)(document.querySelectorAll('.keys-frame'))")
+        keys = lambda: [text.split()[0] for text in page.locator(".keys-table tbody th").all_inner_texts()]  # noqa: E731
         head = page.locator("th", has=page.get_by_role("button", name="tuning"))
-        seen = [(keys(), head.get_attribute("aria-sort"))]
+        orders = [(keys(), head.get_attribute("aria-sort"))]
         for _ in range(2):
             head.get_by_role("button").focus()
             page.keyboard.press("Enter")
-            seen.append((keys(), head.get_attribute("aria-sort")))
-        cents = page.locator(".keys-found tbody tr td:nth-child(3)").all_inner_texts()
+            orders.append((keys(), head.get_attribute("aria-sort")))
+        cents = page.locator(".keys-table tbody tr td:nth-child(3)").all_inner_texts()
         right = page.evaluate("getComputedStyle(document.querySelector('td.value')).textAlign")
         browser.close()
-    assert wide <= 0
+    assert overflow <= 0
     assert right == "right"
-    assert {order[-1] for order, _ in seen[1:]} == {"grand-Z"}  # what has no value is last either way
-    assert seen[1][0][:2] == seen[2][0][:2][::-1]
-    assert [way for _, way in seen] == ["none", "ascending", "descending"]
+    assert {order[-1] for order, _ in orders[1:]} == {"grand-Z"}  # a key without a value is last in both orders
+    assert orders[1][0][:2] == orders[2][0][:2][::-1]
+    assert [sorting for _, sorting in orders] == ["none", "ascending", "descending"]
     assert all(re.search("good|fair|poor|no pitch", text) for text in cents)
 
 
 def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.batch.html_index.EVERY", 0.0)
-    units, seen = library(tmp_path / "in", ["one", "two", "hang"]), []
+    monkeypatch.setattr("pianofit.batch.html_index.WRITE_INTERVAL_S", 0.0)
+    jobs, reports = library(tmp_path / "in", ["one", "two", "hang"]), []
 
     def tell(progress):
         page = tmp_path / "out/index.html"
         if page.exists() and progress.done == 2:
-            seen.append((page.read_text(), status(tmp_path / "out"), progress))
+            reports.append((page.read_text(), status(tmp_path / "out"), progress))
             if progress.running and progress.running[0][1]:
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_batch(units, tmp_path / "out", lambda s: Local(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
-    html, told, progress = seen[-1]
-    assert "It is not at its end" in html
-    assert told["at_work"]
-    (running,) = [key for key in told["keys"] if key["state"] == "running"]
+        run_batch(jobs, tmp_path / "out", lambda s: Local(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
+    html, state, progress = reports[-1]
+    assert "not finished" in html
+    assert state["at_work"]
+    (running,) = [key for key in state["keys"] if key["state"] == "running"]
     assert progress.running == (("B0", "hammer"),)
     assert (running["key"], running["stage"]) == ("B0", "hammer")
     assert 0 <= time.time() - running["began"] < 60
@@ -223,7 +224,7 @@ def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_pa
     assert after["seconds_left"] is None
 
 
-def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypatch):
+def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypatch, capsys):
     store = open_folder(tmp_path)
     store.commit("A0", {"fit.json": b"{}"}, {"hash": "a", "note": "A0", "recordings": [1], "seconds": 100.0})
     now = time.time()
@@ -231,21 +232,26 @@ def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypa
                                      ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
         write_record(store, Entry(key, key, "x", state, stage=stage, began=began))
     monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
-    found = status(tmp_path)
-    assert found["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
-    said = _summary(found)
-    assert said.startswith("1 done, 2 running, 2 waiting of 5 keys; a batch is at work, about 3 min left\n")
-    assert "at work: B0: hammer, C1\n" in said
+    assert status(tmp_path)["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
+    assert main(["status", str(tmp_path)]) == 0
+    running = capsys.readouterr().out
+    assert running.startswith("1 done, 2 running, 2 waiting of 5 keys")
+    assert "3 min left" in running
+    assert "B0: hammer, C1" in running
     monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: False)
-    assert _summary(status(tmp_path)).startswith("1 done, 4 waiting of 5 keys; no batch is at work\n")
+    main(["status", str(tmp_path)])
+    stopped = capsys.readouterr().out
+    assert stopped.startswith("1 done, 4 waiting of 5 keys")
+    assert "min left" not in stopped
 
 
 def test_a_line_of_progress_names_the_first_keys():
     from pianofit.batch import Progress
 
     keys = tuple((f"C{i}", "hammer") for i in range(6))
-    assert _line(Progress(9, 2, 1, keys, 300.0)) == (
-        "2 of 9 keys done, 1 failed, about 5 min left; C0: hammer, C1: hammer, C2: hammer, C3: hammer and 2 more"
-    )
-    assert _line(Progress(9, 0, 0, (("C4", ""),), None)) == ("0 of 9 keys done, time left known once a key is done; C4")
+    line = _line(Progress(9, 2, 1, keys, 300.0))
+    assert line.startswith("2 of 9 keys done, 1 failed")
+    assert "5 min left" in line
+    assert line.endswith("C0: hammer, C1: hammer, C2: hammer, C3: hammer and 2 more")
+    assert _line(Progress(9, 0, 0, (("C4", ""),), None)).endswith("; C4")
     assert _line(Progress(2, 2, 0, (), 0.0)) == "2 of 2 keys done"

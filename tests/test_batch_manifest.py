@@ -1,4 +1,4 @@
-"""From manifests, folders and SFZ files to keys; and what is refused, by name, before anything starts."""
+"""Keys from manifests and folders. Problems are reported by name before anything starts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def test_rows_of_one_instrument_and_note_are_one_key(tmp_path):
     keys, remarks = read_keys(manifest(tmp_path, text))
     assert shown(keys) == {"CP-80-Fs2": ["a.wav", "b.wav"], "grand-A0": ["d.wav"], "grand-Fs2": ["c.flac"]}
     assert [(s.velocity, s.group) for s in keys[0].samples] == [(0.8, "close"), (2.5, "close")]
-    assert remarks == ["columns that have no meaning here: licence"]
+    assert len(remarks) == 1
+    assert remarks[0].endswith(": licence")
 
 
 @pytest.mark.parametrize(
@@ -51,8 +52,8 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     touch(tmp_path, "close/C4.wav", "room/C4.wav")
     text = 'file,note,v_H0,group\nclose/C4.wav,C4,1.25,close\nroom/C4.wav,C4,,a "b"\n'
     (key,), _ = read_keys(manifest(tmp_path, text.replace('a "b"', '"a ""b"""')))
-    unit = make_unit(key, Settings(setup="[string]\nlength = 0.6\n"))
-    (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
+    job = make_unit(key, Settings(setup="[string]\nlength = 0.6\n"))
+    (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
     setup = load_setup(tmp_path / "setup.toml")
     assert setup.length == 0.6
     assert [(t.file, t.v_H0, t.group) for t in setup.recordings] == [
@@ -67,15 +68,15 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     assert [(s.group, s.stroke) for s in key.samples] == [
         ("close", "L2"), ("decca", "L2"), ("close", ""), ("close", "L4"), ("decca", "L4"),
     ]  # fmt: skip
-    unit = make_unit(key, Settings())
-    (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
+    job = make_unit(key, Settings())
+    (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
     layers = load_setup(tmp_path / "setup.toml").recordings
     assert [(t.file, t.group, t.stroke) for t in layers][:3] == [
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),
     ]  # fmt: skip
-    apart = unit._replace(sources=tuple(s._replace(stroke="") for s in unit.sources))
-    assert apart.hash != unit.hash
+    apart = job._replace(sources=tuple(s._replace(stroke="") for s in job.sources))
+    assert apart.hash != job.hash
 
 
 def test_a_layer_of_one_microphone_is_no_strike_of_another_key(tmp_path):
@@ -100,7 +101,7 @@ def test_a_folder_is_read_by_the_names_of_its_files(tmp_path):
 def test_octaves_can_be_counted_otherwise(tmp_path):
     touch(tmp_path, "C3.wav")
     assert shown(read_keys(tmp_path, pattern="{note}", transpose=12)[0]) == {"C4": ["C3.wav"]}
-    with pytest.raises(SetupError, match=r"note 'C3' is MIDI 148 with --transpose 100, must be 0 to 127"):
+    with pytest.raises(SetupError, match=r"MIDI 148 with --transpose 100"):
         read_keys(tmp_path, pattern="{note}", transpose=100)
 
 
@@ -114,7 +115,7 @@ def test_a_column_with_a_unit_holds_measured_velocities(tmp_path, header):
 
 @pytest.mark.parametrize("header", ["velocity", "MIDI velocity", "velocity_midi"])
 def test_a_velocity_without_a_unit_is_midis_and_names_the_layer(tmp_path, header):
-    """127 and 16 are numbers of a keyboard: a fit that held them as m/s would be wrong by 20 times."""
+    """127 and 16 are MIDI velocities. Read as m/s they would be wrong by a factor of 20."""
     touch(tmp_path, "a.wav", "b.wav", "c.wav")
     text = f"file,note,{header},mic\na.wav,C4,16,near\nb.wav,C4,127,near\nc.wav,C4,127,far\n"
     (key,), remarks = read_keys(manifest(tmp_path, text))
@@ -156,14 +157,14 @@ def test_a_backslash_that_is_in_a_name_on_the_disk_stays(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("listed", "there"),
+    ("listed", "on_disk"),
     [("samples/a.WAV", "Samples/A.wav"), ("Fl\u00fcgel.wav", "Flu\u0308gel.wav"), ("A.wav", "a.wav")],
 )
-def test_a_name_that_differs_from_the_disks_in_case_or_accents_has_a_hint(tmp_path, listed, there):
-    touch(tmp_path, there)
+def test_a_name_that_differs_from_the_disks_in_case_or_accents_has_a_hint(tmp_path, listed, on_disk):
+    touch(tmp_path, on_disk)
     if (tmp_path / listed).exists():
         pytest.skip("this disk finds the file by either name")
-    with pytest.raises(SetupError, match=f"did you mean {there}"):
+    with pytest.raises(SetupError, match=f"did you mean {on_disk}"):
         read_keys(manifest(tmp_path, f"file,note\n{listed},C4\n"))
 
 
@@ -180,7 +181,7 @@ HOSTILE = {
     "link": ("file,note\nlink.wav,C4", r"line 2: link\.wav leads out of"),
     "missing": ("file,note\na.wav,C4\nb.wav,C4\nz.wav,C4\ny.wav,D4", r"line 4: z\.wav: no such file; line 5: y\.wav"),
     "folder": ("file,note\n.,C4", "line 2: .: is a folder"),
-    "twice": ("file,note\na.wav,C4\n./a.wav,D4", "line 3: ./a.wav is also line 2; list it once"),
+    "twice": ("file,note\na.wav,C4\n./a.wav,D4", "line 3: ./a.wav is also line 2"),
     "layer-twice": ("file,note,layer\na.wav,C4,p\nb.wav,C4,p", "line 3: C4 has a second 'p'"),
     "strike": ("file,note,layer,mic,v_H0\na.wav,C4,p,x,1\nb.wav,C4,p,y,2", "line 3: C4 'p' has velocity 2 and 1"),
     "slug": ("file,note,instrument\na.wav,C4,A b\nb.wav,C4,A-b", "would share the folder A-b-C4"),
@@ -191,27 +192,27 @@ HOSTILE = {
     "nan": ("file,note,v_H0\na.wav,C4,nan", "line 2: v_H0 'nan'"),
     "no-midi": ("file,note,velocity\na.wav,C4,1.25", "line 2: velocity '1.25' .* v_H0"),
     "no-column": ("path,note\na.wav,C4", "the header has no column 'file'"),
-    "column-twice": ("file,note,note\na.wav,C4,C4", "the column 'note' is there twice"),
+    "column-twice": ("file,note,note\na.wav,C4,C4", "column 'note' twice"),
     "cells": ("file,note\na.wav,C4,x", "line 2 has 3 cells, the header 2"),
     "quote": ('file,note\n"a.wav,C4', "line 2: "),
-    "empty": ("file,note\n", "lists no recording"),
+    "empty": ("file,note\n", "no recording"),
     "nothing": ("", "is empty"),
     "latin": ("file,note\nfl\u00fcgel.wav,C4".encode("latin-1"), "byte 0xfc on line 2 is not UTF-8"),
-    "utf-16": ("file,note\na.wav,C4".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
-    "zero": (b"file,note\na\0.wav,C4", "has a zero byte on line 2"),
+    "utf-16": ("file,note\na.wav,C4".encode("utf-16"), "UTF-16"),
+    "zero": (b"file,note\na\0.wav,C4", "zero byte on line 2"),
     "control": ("file,note\na\x1b[31m.wav,C4", r"a\\x1b\[31m\.wav: no such file"),
-    "long": (f"file,note\n{'x' * 300}.wav,C4", "no such file|no usable path"),
-    "many": ("file,note\n" + "x.wav,C4\n" * 10_000, "and 9995 more; nothing was started"),
+    "long": (f"file,note\n{'x' * 300}.wav,C4", "no such file|not a usable path"),
+    "many": ("file,note\n" + "x.wav,C4\n" * 10_000, "9995 more"),
 }
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_manifest_is_refused_by_name(tmp_path, name):
-    text, said = HOSTILE[name]
+    text, expected = HOSTILE[name]
     (tmp_path / "in").mkdir()
     touch(tmp_path, "x.wav", "in/a.wav", "in/b.wav")
     (tmp_path / "in" / "link.wav").symlink_to(tmp_path / "x.wav")
-    with pytest.raises(SetupError, match=said) as caught:
+    with pytest.raises(SetupError, match=expected) as caught:
         read_keys(manifest(tmp_path / "in", text))
     assert str(caught.value).isprintable()
     assert "m.csv" in str(caught.value)
@@ -246,7 +247,7 @@ def test_a_pattern_that_fits_nothing(tmp_path):
     touch(tmp_path, "C4.wav")
     with pytest.raises(SetupError, match=r"C4\.wav.*pattern"):
         read_keys(tmp_path, pattern="{instrument}_{note}")
-    with pytest.raises(SetupError, match="no recording"):
+    with pytest.raises(SetupError, match=r"\.txt"):
         read_keys(manifest(tmp_path, "x", "empty/x.txt").parent)
 
 
@@ -254,19 +255,19 @@ def test_two_takes_of_one_content_are_refused(tmp_path):
     touch(tmp_path, "a.wav", "b.wav")
     (tmp_path / "b.wav").write_bytes(b"a.wav")
     (key,), _ = read_keys(manifest(tmp_path, "file,note\na.wav,C4\nb.wav,C4"))
-    with pytest.raises(RecordingError, match=r"b\.wav and .*a\.wav are the same recording"):
+    with pytest.raises(RecordingError, match=r"b\.wav and .*a\.wav"):
         make_unit(key, Settings())
 
 
 def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
-    def unit(folder: str, settings: Settings = Settings(), content: bytes = b"x"):  # noqa: B008
+    def job(folder: str, settings: Settings = Settings(), content: bytes = b"x"):  # noqa: B008
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / "a.wav").write_bytes(content)
         (key,), _ = read_keys(manifest(tmp_path / folder, "file,note\na.wav,C4"))
         return make_unit(key, settings)
 
-    first = unit("one")
-    assert unit("two").hash == first.hash
-    assert unit("one", content=b"y").hash != first.hash
-    assert unit("one", Settings(seed=1)).hash != first.hash
+    first = job("one")
+    assert job("two").hash == first.hash
+    assert job("one", content=b"y").hash != first.hash
+    assert job("one", Settings(seed=1)).hash != first.hash
     assert first._replace(versions={"pianofit": "0"}).hash != first.hash

@@ -1,23 +1,21 @@
-"""SFZ libraries as they are found: which sample belongs to which key, what is left out and said, what is refused."""
+"""SFZ libraries: the key of each sample, and the regions and files that are left out or rejected."""
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pianofit.batch import read_keys
-from pianofit.batch.root_note import root_note
-from pianofit.batch.sfz_opcodes import not_of_today
+from pianofit.batch.sfz_opcodes import unrecognised_opcodes
 from pianofit.batch.sfz_text import MAX_DEPTH
 from pianofit.errors import SetupError
-from pianofit.io.files import encode_pcm, encode_wav
+from pianofit.io.files import encode_wav
 
 
 def library(folder: Path, text: str | bytes, *names: str) -> Path:
-    """An SFZ file with samples, or other files, that hold their own names."""
+    """An SFZ file, and samples or other files whose content is their own name."""
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(name.encode())
@@ -78,7 +76,7 @@ def test_an_sfz_file_may_not_leave_its_folder(tmp_path):
 
 
 def test_any_number_of_includes_is_read(tmp_path):
-    """88 keys of five layers include one template for each, with variables that are defined anew."""
+    """88 keys with five layers each include one template, with variables that are defined again each time."""
     lines = [f'<region> lovel={v} #define $KEY {k} #include "key.txt"' for k in range(21, 109) for v in range(1, 6)]
     source = library(tmp_path, "\n".join(lines), *(f"s{k}.wav" for k in range(21, 109)))
     (tmp_path / "key.txt").write_text("sample=s$KEY.wav\nkey=$KEY\n")
@@ -114,7 +112,7 @@ def test_includes_that_double_in_every_file_are_refused(tmp_path, monkeypatch):
 
 
 def test_many_includes_of_nothing_end(tmp_path, monkeypatch):
-    """One counts as 200 letters: 5,000 fit into 1 MiB, 6,000 do not."""
+    """An include counts as 200 characters: 5,000 fit into 1 MiB, and 6,000 do not."""
     monkeypatch.setattr("pianofit.batch.sfz_text.MAX_TEXT", 2**20)
     (tmp_path / "a").write_text(" ")
     lines = "#include a\n"  # without quotation marks
@@ -266,7 +264,7 @@ def test_samples_that_a_player_chooses_among_are_different_strokes(tmp_path, opc
 
 
 def test_a_copy_of_a_sample_is_left_out_of_its_key(tmp_path):
-    """Round robins of some libraries are one file under several names; a joint fit counts each recording once."""
+    """Round robins of some libraries are one file under several names. A joint fit must count each recording once."""
     names = ("a.wav", "b.wav", "c.wav", "d.wav")
     source = library(tmp_path, "".join(f"<region> key=53 sample={n}\n" for n in names), *names)
     (tmp_path / "c.wav").write_bytes(b"a.wav")
@@ -295,7 +293,7 @@ def test_a_library_can_be_transposed(tmp_path):
 
 
 @pytest.mark.parametrize(("midi", "note"), [(53, "F3"), (65, "F4")])
-def test_a_sample_at_two_roots_is_of_the_key_that_it_sounds_like(tmp_path, midi, note):
+def test_a_sample_at_two_roots_is_of_the_key_that_it_detected_note(tmp_path, midi, note):
     text = "<region> lokey=50 hikey=55 pitch_keycenter=53 sample=a.wav\n" \
            "<region> lokey=62 hikey=67 pitch_keycenter=65 sample=./a.wav\n"  # fmt: skip
     source = library(tmp_path, text)
@@ -308,69 +306,6 @@ def test_a_sample_at_two_roots_is_of_the_key_that_it_sounds_like(tmp_path, midi,
 def test_a_sample_at_two_roots_without_a_pitch_is_of_the_first(tmp_path):
     text = "<region> pitch_keycenter=65 sample=a.wav <region> pitch_keycenter=53 sample=a.wav"
     assert keys_of(library(tmp_path, text, "a.wav")) == {"F4": ["a.wav"]}
-
-
-# --- root notes in the samples ----------------------------------------------------------------------------------------
-
-
-def riff(*chunks: tuple[bytes, bytes], big: bool = False) -> bytes:
-    order = ">" if big else "<"
-    body = b"".join(
-        struct.pack(f"{order}4sI", name, len(data)) + data + b"\0" * (len(data) % 2) for name, data in chunks
-    )
-    kind = b"AIFF" if big else b"WAVE"
-    return struct.pack(f"{order}4sI", b"FORM" if big else b"RIFF", 4 + len(body)) + kind + body
-
-
-SMPL = struct.pack("<9I", 0, 0, 22_676, 54, 0, 0, 0, 0, 0)
-WAV = encode_pcm(0.5 * tone(174.6)[None], 22_050, "wav", 16)
-FLAC = encode_pcm(0.5 * tone(174.6)[None], 22_050, "flac", 16)
-FOREIGN = b"riffsmpl" + struct.pack("<I", len(SMPL)) + SMPL
-NAMING = {
-    "smpl": (riff((b"fmt ", WAV[20:36]), (b"odd ", b"x"), (b"data", WAV[44:]), (b"smpl", SMPL)), 54),
-    "smpl-first": (riff((b"smpl", SMPL), (b"data", WAV[44:])), 54),
-    "inst": (riff((b"data", b""), (b"inst", bytes([54, 0, 0, 0, 127, 1, 127]))), 54),
-    "aiff": (riff((b"COMM", b"x" * 18), (b"INST", bytes([54, 0, 0, 127, 1, 127] + [0] * 14)), big=True), 54),
-    "flac": (FLAC[:4] + struct.pack(">I", 2 << 24 | len(FOREIGN)) + FOREIGN + FLAC[4:], 54),
-    "none": (WAV, None),
-    "flac-none": (FLAC, None),
-    "wild": (riff((b"smpl", b"\xff" * 36)), None),
-    "short": (riff((b"smpl", SMPL[:8])), None),
-    "cut": (riff((b"smpl", SMPL))[:24], None),
-    "long": (b"RIFF\0\0\0\0WAVE" + struct.pack("<4sI", b"data", 2**32 - 1), None),
-    "other": (b"OggS" + b"\0" * 50, None),
-    "empty": (b"", None),
-}
-
-
-@pytest.mark.parametrize("name", NAMING)
-def test_the_root_note_that_a_file_names(tmp_path, name):
-    data, note = NAMING[name]
-    (tmp_path / "a.wav").write_bytes(data)
-    assert root_note(tmp_path / "a.wav") == note
-
-
-def test_no_file_names_no_root_note(tmp_path):
-    assert root_note(tmp_path / "a.wav") is None
-    assert root_note(tmp_path) is None
-
-
-@pytest.mark.parametrize(
-    ("data", "opcodes", "note"),
-    [
-        (NAMING["smpl"][0], "", "Fs3"),  # what the file names, even where it sounds like F3
-        (NAMING["smpl"][0], "octave_offset=1", "Fs3"),  # offsets are those of the notes in the text
-        (WAV, "key=50", "D3"),
-        (WAV, "", "F3"),  # its pitch
-        (b"no sound", "", "C4"),  # the format's default
-    ],
-)
-def test_a_root_note_that_is_left_to_the_sample(tmp_path, data, opcodes, note):
-    source = library(tmp_path, f"<region> lokey=50 hikey=55 {opcodes} pitch_keycenter=sample sample=a.wav")
-    (tmp_path / "a.wav").write_bytes(data)
-    keys, remarks = read_keys(source)
-    assert [k.name for k in keys] == [note]
-    assert any("a.wav" in remark for remark in remarks) == (note != "Fs3")
 
 
 # --- names of opcodes -------------------------------------------------------------------------------------------------
@@ -399,15 +334,15 @@ def test_opcodes_of_every_version_of_the_format_are_recognised():
     oscillator_multi phase direction reverse_locc1 sample_quality image lochan hichan lobend lochanaft lopolyaft
     octave_offset note_offset curve_index varcc01 var01_mod amp_keytrack amp_keycenter noise_filter position
     position_oncc10 pan_oncc10 pitch_oncc1 pitcheg_depth fillfo_freq lotimer stop_locc64 load_mode md5 sync_beats"""
-    assert not_of_today(names.split()) == []
-    assert len(not_of_today(["smaple", "pitch_key_center", "zzz9", "lowvel"])) == 4
+    assert unrecognised_opcodes(names.split()) == []
+    assert len(unrecognised_opcodes(["smaple", "pitch_key_center", "zzz9", "lowvel"])) == 4
 
 
 @pytest.mark.parametrize(
     ("older", "today"), [("loopmode", "loop_mode"), ("start_locc64", "on_locc64"), ("gain_cc7", "volume_oncc7")]
 )
 def test_older_names_are_named_with_todays(older, today):
-    (found,) = not_of_today([older])
+    (found,) = unrecognised_opcodes([older])
     assert found.startswith(older)
     assert today in found
 

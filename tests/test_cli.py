@@ -1,4 +1,4 @@
-"""The command line as its users meet it: errors, interrupts, round trips, and the same answer every time."""
+"""Command line: errors, interrupts, round trips and reproducibility."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
 from pianofit.cli import app, main
-from pianofit.cli.summary import _line_of
+from pianofit.cli.summary import _recording_line
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.literature import PRESETS, preset
 
@@ -31,7 +31,7 @@ AS_PROCESSES = (
 
 
 def state(folder: Path) -> dict[str, tuple[float, int]]:
-    """All that is in a folder, with when it was written and how long it is."""
+    """Content of a folder with modification times and sizes."""
     found = sorted(folder.rglob("*"))
     return {str(p): (p.lstat().st_mtime, p.lstat().st_size if not p.is_dir() else 0) for p in found}
 
@@ -47,7 +47,7 @@ def check_refusal(bad: BadInput, code: int, output: str, errors: str) -> None:
 
 @pytest.fixture
 def run(capsys):
-    """Run a command line in this process; returns what it printed, having checked the exit code."""
+    """Run a command line in this process, check the exit code and return the output."""
 
     def run(*arguments: object, code: int = 0) -> str:
         found = main([str(argument) for argument in arguments])
@@ -102,7 +102,7 @@ def test_a_folder_that_is_not_ours_is_refused(command, tmp_path, capsys):
 
 def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
     out = tmp_path / "runs" / "out"
-    # The onset of a real fit, then the signal: progress, which only a terminal shows, says when it has begun.
+    # Send the signal after the fit has begun. The progress bar cannot show that, because it needs a terminal.
     begin = (
         "import sys, pianofit.fitting as fitting, pianofit.cli as cli\n"
         "real = fitting.fit\n"
@@ -134,7 +134,7 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full does not exist")
 @pytest.mark.parametrize("command", ["analyse note.wav --note A4", "analyse note.wav --note A4 --json", "fit --help"])
 def test_an_output_that_is_full_is_one_line(command, tmp_path):
     (tmp_path / "note.wav").write_bytes(encoded(note()))
@@ -152,7 +152,7 @@ def test_an_output_that_is_full_is_one_line(command, tmp_path):
     [(">&-", 1, 1), (">&- 2>&-", 1, 0), ("2>&-", 0, 0), ("<&-", 0, 0), ("| head -0", 0, 0)],
 )
 def test_a_closed_stream_is_one_line_or_none(streams, code, lines, tmp_path):
-    """And no file of ours takes its place: what is written is whole."""
+    """No output file takes the number of the closed stream, so the output is complete."""
     command = f"simulate --preset bensa-final --seconds 0.1 --out {shlex.quote(str(tmp_path / 'a.wav'))}"
     said = (
         f"{{ {shlex.join(PROGRAM)} {command}; echo $? >&3; }}"
@@ -211,7 +211,7 @@ def test_simulate_writes_the_preset_at_its_pitch(name, tmp_path, run):
     string, geometry = preset(name).string, preset(name).geometry
     B = (string.kappa * np.pi / (string.c * geometry.length)) ** 2
     first = string.c / (2 * geometry.length) * np.sqrt(1 + B)
-    # The peak of the fundamental, on a grid of 0.06 cents at 32 Hz and finer above.
+    # Peak of the first partial, on a grid of 0.06 cents at 32 Hz and finer above.
     size = 2**25 if first < 200 else 2**23
     spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples)), size))
     near = np.abs(np.arange(len(spectrum)) * rate / size / first - 1) < 0.2
@@ -240,7 +240,7 @@ def test_force_replaces_a_sound(tmp_path, run):
 
 
 def helped(arguments: str) -> str:
-    """What a help prints on a terminal of 80 columns."""
+    """Return a help text for a terminal of 80 columns."""
     done = subprocess.run(
         [*PROGRAM, *arguments.split()], capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"}
     )
@@ -285,7 +285,7 @@ def test_a_shell_completes_every_command_each_on_a_line(shell, commands):
     done = subprocess.run(PROGRAM, capture_output=True, text=True, check=False, env=environment)
     assert not done.returncode
     lines = done.stdout.replace("_arguments '*: :((", "").splitlines()
-    assert {re.match(r'"?(\w*)', line)[1] for line in lines} == {*commands}  # pyright: ignore[reportOptionalSubscript]
+    assert {re.match(r'"?([\w-]*)', line)[1] for line in lines} == {*commands}  # pyright: ignore[reportOptionalSubscript]
 
 
 @pytest.mark.parametrize("shell", SHELLS)
@@ -301,7 +301,7 @@ def test_the_script_that_teaches_a_shell_is_for_that_shell(shell, monkeypatch, c
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory) -> Path:
-    """A folder with note.wav, a strike that simulate wrote, and the folder out/ that fit made of it."""
+    """A folder with note.wav, written by simulate, and out/, the fit of it."""
     folder = tmp_path_factory.mktemp("fitted")
     sound = ("--seconds", "2", "--velocity", "1.5", "--out", str(folder / "note.wav"))
     assert main(["simulate", "--preset", "bensa-final", *sound]) == 0
@@ -327,8 +327,8 @@ def test_fit_writes_what_it_promises(fitted):
 def test_a_recording_is_named_with_the_channel_that_was_taken():
     row = {"file": "far/a.wav", "first": True, "v_H0": 1.0, "gain": 1.0, "cents": 0.0,
            "levels": {"initial_db": 9.0, "fitted_db": 1.0}}  # fmt: skip
-    assert _line_of(row | {"channel": "left"}).startswith("a.wav (left) (the reference): 1 m/s")
-    assert _line_of(row | {"channel": "average"}).startswith("a.wav (the reference): 1 m/s")
+    assert _recording_line(row | {"channel": "left"}).startswith("a.wav (left) (the reference): 1 m/s")
+    assert _recording_line(row | {"channel": "average"}).startswith("a.wav (the reference): 1 m/s")
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
@@ -337,7 +337,7 @@ def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
     run("render", fitted / "out" / "fit.json", "--velocity", repr(velocity), "--seconds", 1.5, "--out", out)
     (again, rate), (first, _) = soundfile.read(out), soundfile.read(fitted / "out" / "fitted.wav")
     assert rate == 44_100
-    # Both hold the same stroke; only when it comes, and a gain that keeps it below full scale, may differ.
+    # Both have the same stroke. Only its time, and a gain that keeps it below full scale, may differ.
     late = int(np.argmax(np.correlate(np.pad(first[:9000], (2000, 0)), again[2000:4000], "valid"))) - 4000
     cut = max(-late, 0)
     same, again = first[late + cut :][: len(again) - cut], again[cut:]
@@ -364,15 +364,15 @@ def test_predict_says_when_the_key_is_another_and_when_the_velocity_is_at_its_en
     assert "is not of the fit's key" in said
     assert "D#3 (152.1 Hz), and sounds like A4 (440.0 Hz); give a recording of the same key" in said
     assert "--" not in said
-    assert main(["predict", str(fitted / "out"), str(fitted / "note.wav")]) == 0  # a fit's folder will do
+    assert main(["predict", str(fitted / "out"), str(fitted / "note.wav")]) == 0  # the folder of a fit
     said = capsys.readouterr().out
-    assert "the velocity is not found" not in said
+    assert "could not be determined" not in said
     assert "took part in the fit" in said
-    fast = str(fitted / "fast.wav")  # beyond the fastest hammer that is tried
+    fast = str(fitted / "fast.wav")  # beyond the searched range
     assert main(["simulate", "--preset", "bensa-final", "--velocity", "20", "--out", fast]) == 0
     assert main(["predict", str(fitted / "out" / "fit.json"), fast]) == 0
     said = capsys.readouterr().out
-    assert "an end of the range searched: the velocity is not found" in said
+    assert "could not be determined" in said
     assert "took part in the fit" not in said
 
 

@@ -133,7 +133,9 @@ def test_a_melody_is_played(built, melody, tmp_path):
 
 
 def test_a_sampler_is_exported(built, tmp_path):
-    done = run("export", built, "--out", tmp_path / "sampler", "--layers", 2, "--keys", "F#3,A#3", "--seconds", 0.3)
+    done = run(
+        "export", built, "--out", tmp_path / "sampler", "--velocity-layers", 2, "--keys", "F#3,A#3", "--seconds", 0.3
+    )
     assert done.exit_code == 0, done.output
     assert "2 keys sampled, 1 of them a guess (never recorded); 6 transposed from them" in done.output
     assert "4 samples, 1 s" in done.output
@@ -142,7 +144,7 @@ def test_a_sampler_is_exported(built, tmp_path):
 
 
 def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
-    asked = ("--layers", 1, "--keys", "C3,C5", "--seconds", 0.1)
+    asked = ("--velocity-layers", 1, "--keys", "C3,C5", "--seconds", 0.1)
     filled = run("export", built, "--out", tmp_path / "filled", *asked)
     assert "1 key sampled in addition, to fill gaps: C4" in filled.output
     assert "52 keys silent: A0 to F#2, G5 to C8" in filled.output
@@ -154,10 +156,10 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be one of sfz, decent-sampler, faust"),
     (("export", "@", "--out", "x.mp3"), "x.mp3: is called like a file; give --out the name of a folder"),
     (("export", "@", "--out", "x", "--keys", "H4"), "'H4'"),
-    (("export", "@", "--out", "x", "--layers", "0"), "layers=0 must be from 1 to 127"),
+    (("export", "@", "--out", "x", "--velocity-layers", "0"), "layers=0 must be from 1 to 127"),
     (("export", "none.json", "--out", "x"), "none.json: no such file"),
     (("play", "@", "none.mid", "--out", "x.wav"), "none.mid: no such file"),
-    (("play", "@", "melody.mid", "--out", "none/x.wav"), "there is no folder"),
+    (("play", "@", "melody.mid", "--out", "none/x.wav"), "does not exist"),
     (("play", "@", "melody.mid", "--out", "x.wav", "--rate", "1"), "rate=1 Hz"),
     (("play", "melody.mid", "melody.mid", "--out", "x.wav"), "not an instrument.json"),
     (("instrument", "nowhere", "--out", "x"), "no such file or folder"),

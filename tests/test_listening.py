@@ -1,4 +1,4 @@
-"""The blind test in a real browser: hidden, random, by keyboard alone, and its answers as JSON."""
+"""Listening test in a browser: blinding, random order, keyboard, and answers as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from report_cases import Page
 
-from pianofit.listening.page import Question, TestSound, write_listening
+from pianofit.listening import page as listening_page
+from pianofit.listening.page import Question, write_listening
 from pianofit.listening.result import count_answers
 from pianofit.report.sound import k_weighted_mean_square
 
@@ -31,7 +32,7 @@ def questions() -> list[Question]:
     for velocity in (0.6, 0.8):
         t, f = np.arange(RATE) / RATE, 2000 * velocity
         sounds = {
-            name: TestSound(
+            name: listening_page.TestSound(
                 name,
                 f"{velocity} m/s",
                 np.pad((n + 1) * np.exp(-3 * t) * np.sin(f * (n + 1) * t), (400, 0)),
@@ -72,7 +73,7 @@ def browser():
 
 @pytest.fixture
 def page(browser, path):
-    """Open the page, which by the end must have asked for nothing and complained of nothing."""
+    """Open the page. At the end it must not have made requests or printed errors."""
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     complaints, requests = [], []
     page.on("console", lambda message: complaints.append(message.text))
@@ -91,7 +92,7 @@ def contents(path) -> dict:
 
 
 def answered(page, keys: str = "a") -> dict:
-    """Take the whole test by keyboard and return what is saved; `keys` is how to answer, again and again."""
+    """Take the whole test by keyboard and return the saved answers. `keys` are the answers, repeated."""
     page.locator("#begin").focus()
     page.keyboard.press("Enter")
     trials = page.evaluate("window.pianofitListening.trials")
@@ -100,7 +101,7 @@ def answered(page, keys: str = "a") -> dict:
             page.keyboard.press(key)
         page.keyboard.press("ArrowLeft" if keys[n % len(keys)] == "a" else "ArrowRight")
     with page.expect_download() as download:
-        page.keyboard.press("Enter")  # the link to save has the focus
+        page.keyboard.press("Enter")  # the save link has the focus
     assert download.value.suggested_filename == "listening.json"
     return json.loads(Path(download.value.path()).read_text(encoding="utf-8"))
 
@@ -111,7 +112,7 @@ def test_policy_names_the_script_and_nothing_else(path):
     script = base64.b64encode(hashlib.sha256(page.scripts[-1].encode()).digest()).decode()
     assert policy.startswith(f"default-src 'none'; script-src 'sha256-{script}';")
     assert "http" not in policy
-    assert "</script><b>" in page.text  # escaped, so that it is read, not obeyed
+    assert "</script><b>" in page.text  # escaped, not executed
 
 
 def test_what_a_sound_is_cannot_be_read_on_the_page_nor_in_its_data(page, path):
@@ -121,7 +122,7 @@ def test_what_a_sound_is_cannot_be_read_on_the_page_nor_in_its_data(page, path):
     test = contents(path)
     shown.append(json.dumps(test | {"sounds": [*test["sounds"]]}))
     assert not [name for name in (*NAMES, "hidden reference", "ABX:") for text in shown if name in text]
-    # The names, and the order the sounds stand in, go with nothing: sorted, and numbered by lot.
+    # Names and order do not reveal the identity: names are random numbers, and the order is sorted.
     assert [*test["sounds"]] == [f"s{n:03d}" for n in range(8)]
     whats = [json.loads(path.with_suffix(".key").read_text())["sounds"][name]["what"] for name in test["sounds"]]
     assert whats not in ([*(MEASURED, *NAMES) * 2], sorted(whats))
@@ -194,10 +195,10 @@ def test_answers_are_saved_as_json_with_what_was_hidden(page, path, tmp_path):
         assert trial[trial["hit"]] == right
     rows = {row["condition"]: row for row in saved["conditions"]}
     assert rows.keys() == {
-        "ABX: measured or three bands", "hidden reference: measured beside initial",
+        "ABX: measured or three bands", "hidden reference: measured next to initial",
         "nearer to measured: three bands than initial", "nearer to measured: three bands than global criterion",
     }  # fmt: skip
-    # What the page counts is what the program counts.
+    # The page and the program count alike.
     (tmp_path / "answers.json").write_text(json.dumps(saved))
     for count in count_answers([tmp_path / "answers.json"]):
         row = rows[count.condition]
@@ -205,7 +206,7 @@ def test_answers_are_saved_as_json_with_what_was_hidden(page, path, tmp_path):
     assert [rows[condition]["of"] for condition in sorted(rows)] == [6, 2, 4, 4]
 
 
-def test_an_answer_waits_until_all_three_were_heard(page):
+def test_an_answer_waits_until_all_three_were_played(page):
     page.locator("#begin").click()
     assert page.locator("#asked").inner_text() == "Which is X?"
     page.keyboard.press("ArrowLeft")
@@ -226,13 +227,13 @@ def test_each_button_plays_its_own_sound_from_the_start(page, path):
     test, trial = contents(path), page.evaluate("window.pianofitListening.trials[0]")
     for key, role in zip("rab", ("reference", "a", "b"), strict=True):
         page.keyboard.press(key)
-        heard = page.evaluate("""() => {
+        playing = page.evaluate("""() => {
           const deck = window.pianofitListening.deck;
           return [deck.chosen, deck.now < 0.2, Array.from(deck.clips[deck.chosen].channels[0].slice(0, 3000))];
         }""")
         samples = np.frombuffer(base64.b64decode(test["sounds"][trial[role]])[44:], "<i2") / 32768
-        assert heard[:2] == [("reference", "a", "b").index(role), True]
-        np.testing.assert_allclose(heard[2], samples[:3000], atol=1e-6)
+        assert playing[:2] == [("reference", "a", "b").index(role), True]
+        np.testing.assert_allclose(playing[2], samples[:3000], atol=1e-6)
     page.keyboard.press("Space")
     assert not page.evaluate("window.pianofitListening.deck.playing")
 

@@ -1,4 +1,4 @@
-"""A listening test of two folders: what may be heard, what is written, and how answers are counted."""
+"""Listening tests of two folders: checks of the sounds, output, and counts of answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bad_inputs import encoded, note
 
 from pianofit import load_recording
 from pianofit.cli import main
-from pianofit.listening.artefact_checks import GATES, JUMP, failures
+from pianofit.listening.artefact_checks import CHECKS, JUMP, failures
 from pianofit.listening.result import count_answers
 from pianofit.recording.recording import recording_from_samples
 from pianofit.report.sound import k_weighted_mean_square
@@ -23,7 +23,7 @@ RATE = 22_050
 
 
 def folders(tmp_path: Path, *sides: str, names: tuple[str, ...] = ("A3", "A4"), rate: int = RATE) -> list[Path]:
-    """Write folders of notes, each side at a level, lead-in and length of its own."""
+    """Write folders of notes. Sides differ in level, lead-in and length."""
     made = []
     for n, side in enumerate(sides):
         folder = tmp_path / side
@@ -39,12 +39,12 @@ def run(*arguments: object) -> int:
     return main(["listen", *map(str, arguments)])
 
 
-# --- the gates --------------------------------------------------------------------------------------------------------
+# --- the checks -------------------------------------------------------------------------------------------------------
 
 
 def gated(samples: np.ndarray) -> set[str]:
-    """The gates that a note's samples fail."""
-    return {line.split(":")[0].removeprefix("gate ") for line in failures(recording_from_samples(samples, RATE))}
+    """Names of the checks that the samples fail."""
+    return {line.split(":")[0].removeprefix("check ") for line in failures(recording_from_samples(samples, RATE))}
 
 
 def clean() -> np.ndarray:
@@ -53,7 +53,7 @@ def clean() -> np.ndarray:
 
 def test_a_whole_note_passes():
     assert gated(clean()) == set()
-    assert {*GATES} == {"clipping", "offset", "onset", "clicks"}
+    assert {*CHECKS} == {"clipping", "offset", "onset", "clicks"}
 
 
 @pytest.mark.parametrize(("gain", "fails"), [(1.0, set()), (1.3, {"clipping"})])
@@ -74,7 +74,7 @@ def test_a_note_that_was_cut_into_fails():
 @pytest.mark.parametrize("at", [0.3, 1.0, 1.8])
 @pytest.mark.parametrize("fault", ["sample", "step", "gap"])
 def test_a_click_fails_wherever_it_is(at, fault):
-    """A sample, a step, and a millisecond that is lost, each some percents of the peak."""
+    """A wrong sample, a step and a lost millisecond, each a few percent of the peak."""
     samples, here = clean().copy(), round(at * RATE)
     if fault == "sample":
         samples[here] += 0.02
@@ -90,7 +90,7 @@ def test_a_click_fails_wherever_it_is(at, fault):
 
 
 def test_noise_is_no_click():
-    """The largest of 100,000 normal numbers is some 5 times their rms; the gate is far above, at every level."""
+    """The largest of 100,000 normal numbers is about 5 times their rms. The limit is far above, at every level."""
     for level in (1e-4, 1e-2):
         rng = np.random.default_rng(5)
         samples = np.pad(note(220.0, 0.5) * np.linspace(1, 0, len(note(220.0, 0.5))), (0, 100_000))
@@ -108,8 +108,8 @@ def test_whole_recordings_pass(recordings):
 # --- the test ---------------------------------------------------------------------------------------------------------
 
 
-def heard(folder: Path) -> dict[tuple[str, str], np.ndarray]:
-    """What is heard, by name and side: the sounds of the experiment are those of the page."""
+def sounds_of(folder: Path) -> dict[tuple[str, str], np.ndarray]:
+    """Sounds of the webMUSHRA experiment, which are those of the page, by name and side."""
     key = json.loads((folder / "key.json").read_text())
     found = {}
     for name, sound in key["sounds"].items():
@@ -120,11 +120,11 @@ def heard(folder: Path) -> dict[tuple[str, str], np.ndarray]:
 
 
 def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
-    """One note at three levels, lead-ins and lengths: what is heard is the same sound three times."""
+    """One note with three levels, lead-ins and lengths gives the same sound three times."""
     a, b, r = folders(tmp_path, "one", "two", "three")
     assert run(a, b, "--reference", r, "--out", tmp_path / "out", "--trials", 5, "--seconds", 0.9) == 0
     assert "20 questions about 2 sounds: A3, A4" in capsys.readouterr().out
-    sounds = heard(tmp_path / "out")
+    sounds = sounds_of(tmp_path / "out")
     assert {*sounds} == {(name, side) for name in ("A3", "A4") for side in ("one", "two", "three")}
     for name in ("A3", "A4"):
         first = sounds[name, "one"]
@@ -138,7 +138,7 @@ def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
 
 
 def fits(tmp_path: Path, recordings: Path) -> Path:
-    """A batch's folder with the sounds of fits to the recordings: two of one key, in mono, one of another."""
+    """A batch folder with mono sounds of fits: two recordings of one key, one of another."""
     out, digests = tmp_path / "fits", {}
     for file in sorted(recordings.rglob("*.wav")):
         digests[file.stem] = hashlib.sha256(file.read_bytes()).hexdigest()
@@ -153,7 +153,7 @@ def fits(tmp_path: Path, recordings: Path) -> Path:
 
 
 def test_recordings_are_paired_with_the_sounds_of_their_fits(tmp_path, capsys):
-    """By content: a recording may have been renamed or moved since, and lie in any folder."""
+    """Pairs are found by content, so recordings can be renamed and moved."""
     recordings = tmp_path / "recordings"
     for at, name in enumerate(("A3 p", "A3 f", "A4 p", "B4 p")):
         (recordings / name[:2]).mkdir(parents=True, exist_ok=True)
@@ -165,9 +165,9 @@ def test_recordings_are_paired_with_the_sounds_of_their_fits(tmp_path, capsys):
     output, errors = capsys.readouterr()
     assert "3 sounds: A3 f, A3 p, A4 p" in output
     assert "B4 p" in errors
-    sounds = heard(tmp_path / "out")
+    sounds = sounds_of(tmp_path / "out")
     assert {*sounds} == {(name, side) for name in ("A3 p", "A3 f", "A4 p") for side in ("recordings", "fits")}
-    # The fits are in mono, and so are their recordings.
+    # Fits are mono, so their recordings are averaged.
     assert all(sound.ndim == 1 or np.ptp(sound, axis=1).max() == 0 for sound in sounds.values())
     assert str(tmp_path) not in (tmp_path / "out/listen.html").read_text()
 
@@ -193,7 +193,7 @@ def test_a_fit_that_names_no_recording_is_no_pair(tmp_path, text):
 
 
 def test_loudness_is_that_of_the_recommendation():
-    """ITU-R BS.1770: a 997 Hz sine of 0 dBFS in one channel reads −3.01 LKFS; the filters here are analogue ones."""
+    """ITU-R BS.1770: a 997 Hz sine of 0 dBFS in one channel reads −3.01 LKFS. The filters here are analogue."""
     sine = np.sin(2 * np.pi * 997 * np.arange(48_000) / 48_000)
     assert -0.691 + 10 * math.log10(k_weighted_mean_square(sine, 48_000)) == pytest.approx(-3.01, abs=0.05)
 
@@ -207,8 +207,8 @@ def test_questions_are_shared_out_evenly(tmp_path):
     assert counts == {"abx": [2, 2, 3], "nearer": [2, 2, 3]}
     assert run(a, b, "--out", tmp_path / "few", "--trials", 2) == 0
     few = json.loads((tmp_path / "few" / "key.json").read_text())
-    assert len(few["sounds"]) == 4  # what is not asked about is not there
-    assert {t["condition"] for t in key["trials"]} == {"ABX: a or b", "hidden reference: a beside b"}
+    assert len(few["sounds"]) == 4  # only sounds of questions are written
+    assert {t["condition"] for t in key["trials"]} == {"ABX: a or b", "hidden reference: a next to b"}
 
 
 def test_an_experiment_for_webmushra(tmp_path):
@@ -235,9 +235,9 @@ def test_a_pair_that_fails_a_gate_can_be_left_out(tmp_path, capsys):
     (b / "A4.wav").write_bytes(encoded(np.clip(4 * note(), -0.9, 0.99)))
     assert run(a, b, "--out", tmp_path / "out") == 1
     words = capsys.readouterr().err
-    assert "b/A4.wav: gate clipping: " in words
+    assert "b/A4.wav: check clipping: " in words
     assert not (tmp_path / "out").exists()
-    assert run(a, b, "--out", tmp_path / "out", "--leave-out") == 0
+    assert run(a, b, "--out", tmp_path / "out", "--exclude-invalid") == 0
     captured = capsys.readouterr()
     assert "left out: " in captured.err
     assert "about 1 sound: A3" in captured.out
@@ -256,7 +256,7 @@ def answers(path: Path, *counts: tuple[str, int, int]) -> Path:
 
 
 def test_counts_against_published_intervals(tmp_path, capsys):
-    """Clopper and Pearson at n = 16 and 12 hits, by the beta quantiles' own definition: the tails hold 2.5 % each."""
+    """Clopper and Pearson at n = 16 and 12 hits, by definition: both tails have 2.5 %."""
     files = [
         answers(tmp_path / "one.json", ("ABX", 7, 8), ("nearer", 0, 3)),
         answers(tmp_path / "two.json", ("ABX", 5, 8)),

@@ -1,4 +1,4 @@
-"""Numbers as text: an interval never rounds away, and the digits stop where the interval says."""
+"""Numbers as text: intervals never round to zero width, and determine the number of digits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_ends_of_an_interval_differ_from_the_value_and_keep_it_between_them(
     text, span = format_with_interval(value, (low, high))
     ends = [float(end) for end in span.strip("[]").split(", ")]
     assert ends[0] < float(text) < ends[1]
-    # Two digits of the half-width: each is written to within a twentieth of it.
+    # Two digits of the half-width: the rounding error is at most a twentieth of it.
     assert abs(float(text) - value) <= 0.051 * half
     assert ends == pytest.approx([low, high], abs=0.051 * half)
     page, between = with_interval(value, [low, high])

@@ -85,7 +85,7 @@ def test_every_command_takes_a_saved_instrument(tmp_path, capsys):
     assert main(["page", str(file), "--out", str(tmp_path / "piano.html")]) == 0
     assert "2 were changed by hand" in (tmp_path / "piano.html").read_text()
     assert main(["play", str(file), str(song), "--out", str(tmp_path / "song.wav")]) == 0
-    options = ["--keys", "C4", "--layers", "1", "--seconds", "0.5", "--licence", "CC0"]
+    options = ["--keys", "C4", "--velocity-layers", "1", "--seconds", "0.5", "--licence", "CC0"]
     assert main(["export", str(file), *options, "--out", str(tmp_path / "sampler")]) == 0
     assert "changed by hand on the page to play: C4" in (tmp_path / "sampler" / "README.txt").read_text()
     assert load_instrument(tmp_path).changed == [52, 60]

@@ -1,4 +1,4 @@
-"""Literature values: each preset is tested against its note, and the typical note over the whole keyboard."""
+"""Literature values: each preset is compared with its note, and typical notes are tested over the whole keyboard."""
 
 import dataclasses
 import math
@@ -39,7 +39,7 @@ def test_a_preset_sounds_at_its_note(entry):
 @pytest.mark.parametrize("row", STRINGS, ids=lambda row: row.note)
 def test_a_published_string_sounds_at_its_printed_frequency(row):
     assert abs(cents(row.c / (2 * row.length), row.f0)) < 9
-    assert abs(cents(row.f0, hertz(row.note) * 441 / 440)) < 0.6  # what the docstring says of the printed values
+    assert abs(cents(row.f0, hertz(row.note) * 441 / 440)) < 0.6  # as the docstring states
 
 
 def test_the_chaigne_askenfelt_string():
@@ -58,7 +58,7 @@ def test_the_papers_values_are_as_printed():
     assert first.geometry == last.geometry
     assert first.geometry.length == 1.0
     assert first.note is last.note is None
-    assert cents(last.f0, hertz("D#3")) == pytest.approx(-40, abs=0.6)  # what the docstring says
+    assert cents(last.f0, hertz("D#3")) == pytest.approx(-40, abs=0.6)  # as the docstring states
 
 
 @pytest.mark.parametrize("entry", PRESETS.values(), ids=lambda p: p.name)
@@ -69,9 +69,9 @@ def test_a_preset_is_complete_possible_and_says_where_it_is_from(entry):
     assert 0 < pickup < length
     assert mass > 0
     tension = entry.string.c**2 * mass / length
-    assert 500 < tension < 2000  # N, what a piano's strings bear
+    assert 500 < tension < 2000  # N, usual for piano strings
     assert entry.source
-    assert entry.reading in ("read in the paper", "second-hand")
+    assert entry.derivation in ("read in the paper", "second-hand")
     assert entry.completed
     assert PRESETS[entry.name] is entry
 
@@ -180,17 +180,17 @@ def test_the_tables_are_met_where_they_have_rows():
 
 
 def test_a_string_is_struck_by_its_share_of_the_hammer():
-    """The whole mass is one source's, the shares another's: half of it at C2, a third at C4 and C7."""
+    """One source has whole hammers, the other the shares of one string: half at C2, a third at C4 and C7."""
     for share in CHAIGNE_HAMMERS:
         found = typical(share.midi).hammer.M_H
         assert found == pytest.approx(share.M_H, rel=0.05)
-    found = typical(24).hammer.M_H  # a string of its own
+    found = typical(24).hammer.M_H  # one string per key
     assert found == pytest.approx(0.0110, rel=0.02)
 
 
 def test_the_interpolation_is_the_usual_monotone_cubic():
     midi, length = np.array(TABLES["length"]).T
-    witness = PchipInterpolator(midi, np.log(length))  # the same slopes but at its ends
+    witness = PchipInterpolator(midi, np.log(length))  # the same slopes except at the ends
     inside = np.linspace(36, 91, 111)
     ours = [math.log(typical(x).geometry.length) for x in inside]
     np.testing.assert_allclose(ours, witness(inside), rtol=0, atol=1e-12)
@@ -231,14 +231,14 @@ def test_a_note_is_named_or_numbered():
     ],
 )  # fmt: skip
 def test_what_is_interpolated_is_named_with_the_rows_next_to_it(note, name, place):
-    it = typical(note)
-    assert it.interpolated.get(name) == place
-    fields = {*it.string._fields, *it.hammer._fields, *it.geometry._fields}
-    assert {*it.interpolated} <= fields
-    for chosen in ("mu", "v_H0", "width", "pickup", "strike"):
-        assert chosen in it.completed
+    entry = typical(note)
+    assert entry.interpolated.get(name) == place
+    fields = {*entry.string._fields, *entry.hammer._fields, *entry.geometry._fields}
+    assert {*entry.interpolated} <= fields
+    for chosen in ("mu", "v_H0", "width", "pickup", "strike_position"):
+        assert chosen in entry.completed
     for source in ("Chabassier", "Bensa"):
-        assert source in it.source
+        assert source in entry.source
 
 
 def test_a_preset_names_what_is_interpolated_in_it():

@@ -1,4 +1,4 @@
-"""What was known beforehand: all of it is read, and nothing else is let through."""
+"""Setups: every key is read, and everything else is rejected."""
 
 import math
 from pathlib import Path
@@ -15,7 +15,7 @@ from pianofit.io.files import printable
 from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, load_setup, recording_info_for, setup_from_dict
 
 FULL = """
-# The paper's bench.
+# The experiment of the paper.
 [string]
 length = 1.0
 mass = 0.00618
@@ -34,12 +34,12 @@ b1 = 0.5
 [bounds]
 K_H = [1e8, 1e12]
 c = [300, 320]
-[[take]]
+[[recording]]
 file = "a.flac"
 group = "close"
 gain_group = "close"
-strike = "L4"
-[[take]]
+stroke = "L4"
+[[recording]]
 file = "b.flac"
 """
 
@@ -61,7 +61,7 @@ def test_every_key_is_read(tmp_path):
     )
 
 
-@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[known]\n[bounds]\n"])
+@pytest.mark.parametrize("text", ["# nothing is given\n", "[string]\n[strike]\n[fixed]\n[bounds]\n"])
 def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
     setup = load_setup(str(tmp_path / "setup.toml"))
@@ -94,9 +94,9 @@ def test_every_pickup_has_one_complete_form(quantity):
 
 def test_recordings_may_have_velocities_of_their_own():
     setup = setup_from_dict(
-        {"take": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
+        {"recording": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
     )
-    assert [take.v_H0 for take in setup.recordings] == [1.0, 2.5, 1.0]
+    assert [recording.v_H0 for recording in setup.recordings] == [1.0, 2.5, 1.0]
 
 
 @pytest.mark.parametrize("bad", [b for b in BAD_INPUTS if b.gate == "setup"], ids=lambda b: b.id)
@@ -159,7 +159,7 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
 
 
 def test_an_entry_is_of_the_recording_that_it_names():
-    """Another's velocity is not taken; one without a name is that of a single recording."""
+    """Entries of other files are not used. An entry without a file applies to a single recording."""
     key = Setup(recordings=(RecordingInfo("far/soft.wav", 0.8), RecordingInfo("loud.wav", 3.0)))
     assert (
         recording_info_for(key, "near/loud.wav", alone=True).v_H0
@@ -188,7 +188,7 @@ IN_PYTHON = [
     ({"pickup_quantity": "light"}, '[pickup]\nquantity = "light"\n', "must be one of velocity"),
     ({"pickup_position": 0.3}, "[pickup]\nposition = 0.3\n", "has no meaning"),
     ({"strike_position": 0.01, "strike_width": 0.03}, "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
-    ({"fixed": {"epsilon": 0.1}}, "[fixed]\nepsilon = 0.1\n", "no parameter of the felt's law"),
+    ({"fixed": {"epsilon": 0.1}}, "[fixed]\nepsilon = 0.1\n", "not a parameter of the felt law"),
     ({"fixed": {"p": 2}, "initial": {"p": 3}}, "[fixed]\np = 2\n[initial]\np = 3\n", "remove one of them"),
     ({"recordings": [RecordingInfo()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
     ({"recordings": [RecordingInfo(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
@@ -198,18 +198,18 @@ IN_PYTHON = [
         "2 file = 3",
     ),
     ({"recordings": [{"fil": "a"}]}, '[[recording]]\nfil = "a"\n', "did you mean file?"),
-    ({"recordings": [RecordingInfo("a"), RecordingInfo("a")]}, '[[recording]]\nfile = "a"\n' * 2, "is there twice"),
+    ({"recordings": [RecordingInfo("a"), RecordingInfo("a")]}, '[[recording]]\nfile = "a"\n' * 2, "given twice"),
 ]
 
 
-@pytest.mark.parametrize(("said", "text", "message"), IN_PYTHON, ids=[message for *_, message in IN_PYTHON])
-def test_python_is_checked_in_the_words_of_the_file(tmp_path, said, text, message):
+@pytest.mark.parametrize(("arguments", "text", "message"), IN_PYTHON, ids=[message for *_, message in IN_PYTHON])
+def test_python_is_checked_in_the_words_of_the_file(tmp_path, arguments, text, message):
     path = tmp_path / "setup.toml"
     path.write_text(text)
     with pytest.raises(SetupError) as from_file:
         load_setup(path)
     with pytest.raises(SetupError) as from_python:
-        Setup(**said)
+        Setup(**arguments)
     assert message in str(from_python.value)
     assert str(from_file.value) == f"{path}: {from_python.value}"
 
@@ -221,13 +221,6 @@ def test_a_setup_is_plain_numbers_and_stays_as_it_was_checked():
     assert (setup.length, setup.fixed, setup.recordings) == (1.0, {"p": 3.0}, (RecordingInfo(v_H0=2.0),))
     assert type(setup.fixed["p"]) is type(setup.recordings[0].v_H0) is float
     assert Setup(length=np.float32(1.5), fixed={"p": np.int64(3)}) == Setup(length=1.5, fixed={"p": 3.0})
-
-
-def test_an_older_file_says_take(tmp_path):
-    (tmp_path / "new.toml").write_text(FULL.replace("[[take]]", "[[recording]]"))
-    (tmp_path / "old.toml").write_text(FULL)
-    assert "[[take]]" in FULL
-    assert load_setup(tmp_path / "new.toml") == load_setup(tmp_path / "old.toml")
 
 
 SCALAR = st.one_of(st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.none())

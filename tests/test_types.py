@@ -1,4 +1,4 @@
-"""Wrong types: every public function refuses them by an error of ours that names the argument."""
+"""Wrong types: every public function raises a PianofitError that names the argument."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def test_a_wrong_type_is_refused_by_the_name_of_its_argument():
-    """In a process of its own: here a type checker stands before our own checks."""
+    """In a separate process, because here a type checker intercepts the calls."""
     program = Path(__file__).with_name("wrong_types.py")
     done = subprocess.run([sys.executable, program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Calls with arguments of wrong types, for a process in which no type checker stands before our own checks."""
+"""Calls with arguments of wrong types, for a process without a runtime type checker."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from bad_files import note as sound
 import pianofit as pf
 from pianofit.errors import PianofitError
 
-# None of these is a text, a number, an array of floats, a path, or a thing of ours.
+# None of these is a text, a number, an array of floats, a path, or an object of pianofit.
 WRONG: tuple[Any, ...] = ([], {}, object(), b"x", len, 1j, (1, 2, 3), np.array(["x"]))
-IT = pf.preset("chabassier-F3")
-NOTE = pf.Note(IT.string, IT.hammer, IT.geometry, "bridge-force", 0.1)
+F3 = pf.preset("chabassier-F3")
+NOTE = pf.Note(F3.string, F3.hammer, F3.geometry, "bridge-force", 0.1)
 TABLE = {"rate": 88_200.0, "n_modes": 32}
 
 
@@ -23,10 +23,10 @@ def recording() -> pf.Recording:
 
 
 def modes() -> Any:
-    return pf.mode_table(IT.string, IT.geometry, **TABLE)
+    return pf.mode_table(F3.string, F3.geometry, **TABLE)
 
 
-# By the argument that the error names: a call with a wrong value.
+# Calls by the argument that the error must name.
 CALLS = {
     "preset": pf.preset,
     "note of a typical key": pf.typical,
@@ -54,18 +54,18 @@ CALLS = {
     "recording of a validation": lambda x: pf.cross_validate(x),
     "analyses": lambda x: pf.cross_validate([recording()] * 3, analyses=x),
     "setup": lambda x: pf.cross_validate([recording()] * 3, setup=x),
-    "string": lambda x: pf.simulate(x, IT.hammer, IT.geometry),
-    "string of other values": lambda x: pf.simulate(IT.string._replace(c=x), IT.hammer, IT.geometry),
-    "hammer": lambda x: pf.simulate(IT.string, x, IT.geometry),
-    "hammer of other values": lambda x: pf.simulate(IT.string, IT.hammer._replace(M_H=x), IT.geometry),
-    "geometry": lambda x: pf.simulate(IT.string, IT.hammer, x),
-    "rate of a sound": lambda x: pf.simulate(IT.string, IT.hammer, IT.geometry, rate=x),
-    "quantity": lambda x: pf.mode_table(IT.string, IT.geometry, **TABLE, quantity=x),
-    "kind": lambda x: pf.mode_table(IT.string, IT.geometry, **TABLE, kind=x),
-    "n_modes": lambda x: pf.mode_table(IT.string, IT.geometry, rate=88_200.0, n_modes=x),
+    "string": lambda x: pf.simulate(x, F3.hammer, F3.geometry),
+    "string of other values": lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry),
+    "hammer": lambda x: pf.simulate(F3.string, x, F3.geometry),
+    "hammer of other values": lambda x: pf.simulate(F3.string, F3.hammer._replace(M_H=x), F3.geometry),
+    "geometry": lambda x: pf.simulate(F3.string, F3.hammer, x),
+    "rate of a sound": lambda x: pf.simulate(F3.string, F3.hammer, F3.geometry, rate=x),
+    "quantity": lambda x: pf.mode_table(F3.string, F3.geometry, **TABLE, quantity=x),
+    "kind": lambda x: pf.mode_table(F3.string, F3.geometry, **TABLE, kind=x),
+    "n_modes": lambda x: pf.mode_table(F3.string, F3.geometry, rate=88_200.0, n_modes=x),
     "modes": lambda x: pf.levels(x),
-    "modes of a strike": lambda x: pf.strike(x, IT.hammer, steps=1024),
-    "steps": lambda x: pf.strike(modes(), IT.hammer, steps=x),
+    "modes of a strike": lambda x: pf.strike(x, F3.hammer, steps=1024),
+    "steps": lambda x: pf.strike(modes(), F3.hammer, steps=x),
     "drive": lambda x: pf.levels(modes(), x),
     "samples": lambda x: pf.waveform(modes(), np.ones(32), rate=44_100, samples=x),
     "free": lambda x: pf.levels(modes(), free=x),
@@ -78,7 +78,7 @@ CALLS = {
 
 
 def refusal(call: Callable[[Any], Any], wrong: Any) -> str | None:
-    """The error's words, with its class where it is not one of ours; None where the value is accepted."""
+    """Message of the error, with its class if it is not a PianofitError; None if the value is accepted."""
     try:
         call(wrong)
     except PianofitError as error:
@@ -89,7 +89,7 @@ def refusal(call: Callable[[Any], Any], wrong: Any) -> str | None:
 
 
 def faults() -> Iterator[str]:
-    """Wrong values that are accepted, or not refused by the argument's name on one line."""
+    """Yield wrong values that are accepted, or rejected without the name of the argument on one line."""
     for name, call in CALLS.items():
         for wrong in WRONG:
             words = refusal(call, wrong)
@@ -98,8 +98,8 @@ def faults() -> Iterator[str]:
     for number in (True, np.array([1.0, 2.0]), "2"):
         if "force" not in (words := refusal(lambda x: pf.pluck(modes(), x), number) or ""):
             yield f"force = {number!r}: {words!r}"
-    two = IT.hammer._replace(M_H=np.array([0.003, 0.004]))
-    if "M_H" not in (words := refusal(lambda x: pf.simulate(IT.string, x, IT.geometry), two) or ""):
+    two = F3.hammer._replace(M_H=np.array([0.003, 0.004]))
+    if "M_H" not in (words := refusal(lambda x: pf.simulate(F3.string, x, F3.geometry), two) or ""):
         yield f"two hammers: {words!r}"
     for note in ("A4", "69", 69, np.int64(69)):
         if pf.analyse(recording(), note=note).note != "A4":

@@ -1,7 +1,7 @@
-"""From recordings of struck strings to the physical parameters behind them, and back to sound.
+"""Physical parameters of struck strings from recordings, and sound from parameters.
 
-All public names are listed here; everything else may change without notice. A name is loaded when it is first used, so
-that `import pianofit` is quick and JAX is there only for those who need it.
+All public names are listed here. Everything else may change without notice. A name is loaded when it is first used, so
+`import pianofit` is fast and does not import JAX.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
-    # A recording, and what it shows without a hammer.
+    # Recordings, and their analysis without a hammer model.
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
-    # What was known beforehand, and the fit.
+    # Setup and fit.
     "Setup", "RecordingInfo", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
     "compare", "Comparison", "ComparedQuantity",
-    # How well it foretells what it has not heard.
+    # Prediction of recordings that were not fitted.
     "Prediction", "predict_recording", "cross_validate",
-    # The model: parameters to motion to sound.
+    # Model: from parameters to motion and sound.
     "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
     "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
-    # Its parts, for your own JAX programs: a table of modes, what excites it, and what is heard of it.
+    # Parts of the model for JAX programs: modes, excitation, output.
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
-    # What can go wrong with an input.
+    # Errors.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "WrongNoteError",
     "__version__",
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from .setup import RecordingInfo, Setup, load_setup, setup_from_dict
     from .synthetic import SyntheticRecording, synthetic_recording
 
-_HOMES = {
+_MODULES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
@@ -77,16 +77,16 @@ _HOMES = {
     "setup": ("RecordingInfo", "Setup", "load_setup", "setup_from_dict"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
 }  # fmt: skip
-_HOME = {name: module for module, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
-if not TYPE_CHECKING:  # a checker would take it for any name
+if not TYPE_CHECKING:  # a type checker would accept any name
 
     def __getattr__(name: str) -> Any:
         """Load a public name from its module (PEP 562)."""
-        if name not in _HOME:
+        if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+        value = getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)
         globals()[name] = value
         return value
 

@@ -1,4 +1,4 @@
-"""`python -m pianofit` is `pianofit`."""
+"""Run the command line with `python -m pianofit`."""
 
 from .cli import run
 

@@ -1,4 +1,4 @@
-"""Units and scales that every room reads alike: pitch in equal temperament, intervals of 95 %, beats."""
+"""Shared conversions and constants: pitch in equal temperament, 95 % intervals, beating."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 
 __all__ = ["BEAT", "NORMAL", "hertz_of", "midi_of"]
 
-# Standard deviations from the mean to either end of a normal distribution's 95 %.
+# Half-width of the 95 % interval of a normal distribution, in standard deviations.
 NORMAL = 1.959964
-# A partial leaves an even decay by this before it is said to beat, dB: less is as well a decay that bends.
+# Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.
 BEAT = 1.5
 A4 = 440.0  # Hz
 A4_MIDI = 69
 
 
 def midi_of(frequency: float) -> float:
-    """MIDI number of a frequency, Hz, with its fraction."""
+    """Return the MIDI number of a frequency, Hz. It may have a fraction."""
     return A4_MIDI + 12 * math.log2(frequency / A4)
 
 
 def hertz_of(midi: float) -> float:
-    """Frequency of a MIDI number, which need not be whole, Hz."""
+    """Return the frequency of a MIDI number, Hz. The number may have a fraction."""
     return A4 * 2 ** ((midi - A4_MIDI) / 12)

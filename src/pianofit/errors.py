@@ -1,7 +1,7 @@
-"""Every error a user can meet.
+"""All errors that an input can cause.
 
-Each message is one line that names the thing (a file, an argument), the value found there, and what to do about it.
-The command line prints the message and exits with 1; it never shows a traceback for these.
+Each message is one line. It names the file or the argument, its value, and what to do.
+The command line prints the message without a traceback and exits with 1.
 """
 
 from numbers import Real
@@ -14,7 +14,7 @@ __all__ = [
 
 
 class PianofitError(Exception):
-    """Base of all errors that are the input's, not the program's."""
+    """Base class of all errors that the input causes."""
 
 
 class RecordingError(PianofitError):
@@ -30,11 +30,11 @@ class ParameterError(PianofitError, ValueError):
 
 
 class AnalysisError(PianofitError):
-    """A recording in which the note, or enough of its partials, cannot be found."""
+    """A recording in which the note, or enough partials of it, cannot be detected."""
 
 
 class WrongNoteError(AnalysisError):
-    """A recording in which the note that was asked for is not, or no note is."""
+    """A recording that does not contain the requested note, or contains no note."""
 
 
 class FitError(PianofitError):
@@ -42,22 +42,22 @@ class FitError(PianofitError):
 
 
 class OutputError(PianofitError):
-    """A place that cannot be written to, or that holds something which would be lost."""
+    """An output that cannot be written, or that would replace an existing file."""
 
 
-def check_range(what: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
-    """Refuse a `value` out of its range, or no number, by a `ParameterError`; `what` stands before it, as "layers="."""
+def check_range(name: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
+    """Raise a `ParameterError` if `value` is not a number in the range. Messages begin with `name`, as "layers="."""
     if not (isinstance(value, Real) and low <= value <= high):
-        raise ParameterError(f"{what}{_short(value)}{unit} must be from {low:g} to {high:g}{hint}")
+        raise ParameterError(f"{name}{_short(value)}{unit} must be from {low:g} to {high:g}{hint}")
 
 
-def check_type(what: str, value: Any, kinds: Any, must: str) -> None:
-    """Refuse by a `ParameterError` a `value` of none of these `kinds`; True and False are no numbers."""
+def check_type(name: str, value: Any, kinds: Any, expected: str) -> None:
+    """Raise a `ParameterError` if `value` is not of these `kinds`. True and False do not count as numbers."""
     if not isinstance(value, kinds) or (kinds is Real and isinstance(value, bool)):
-        raise ParameterError(f"{what}{_short(value)} must be {must}")
+        raise ParameterError(f"{name}{_short(value)} must be {expected}")
 
 
 def _short(value: Any) -> str:
-    """A value on one line: of a long one its begin."""
+    """Return a value as one line of at most 60 characters."""
     text = " ".join((str(value) if isinstance(value, Real) else repr(value)).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,12 +1,12 @@
-"""Published strings and hammers, each with its source and how it was read, and a typical note interpolated from them.
+"""Published strings and hammers with their sources, and typical notes interpolated from them.
 
-Nothing here was measured by this project. "Read in the paper" means that the table was at hand; "second-hand" means
-that the values were seen in other people's code and could not be compared with the primary table.
+This project measured none of these values. "Read in the paper" means that the primary table was available.
+"Second-hand" means that the values come from published code and could not be compared with the primary table.
 
-Where a published set is off: the frequencies printed beside the strings after Chabassier are those of A4 = 441 Hz, 4
-cents above ours, and their own tension, density and diameter miss them by -2 cents at C#5, -4 at G6 and -9 at C7.
-Chaigne and Askenfelt's C4 has 262.2 Hz, 4 cents above 440 Hz tuning. The paper's string has no note: 152.1 Hz lies 40
-cents below D#3.
+Known deviations: the printed frequencies of the strings after Chabassier belong to A4 = 441 Hz, 4 cents above 440 Hz.
+The frequencies computed from their tension, density and diameter deviate from them by -2 cents at C#5, -4 at G6 and -9
+at C7. The C4 of Chaigne and Askenfelt has 262.2 Hz, 4 cents above 440 Hz tuning. The string of the paper has no note
+name; 152.1 Hz is 40 cents below D#3.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ CHAIGNE = "Chaigne and Askenfelt, J. Acoust. Soc. Am. 95, 1112 and 1631 (1994)"
 BENSA_2003 = "Bensa, Bilbao, Kronland-Martinet and Smith, J. Acoust. Soc. Am. 114, 1095 (2003)"
 CHABASSIER = "after Chabassier, thesis (2012)"
 READ, SECOND_HAND = "read in the paper", "second-hand"
-LOWEST_NOTE, HIGHEST_NOTE = 15, 114  # MIDI, half an octave beyond either end of the piano
+LOWEST_NOTE, HIGHEST_NOTE = 15, 114  # MIDI, half an octave beyond each end of the piano
 
-YOUNG = 2.0e11  # Pa, steel: the table after Chabassier has none
-TYPICAL_MU = 0.1  # s/m, the paper's starting value (Table III)
+YOUNG = 2.0e11  # Pa, steel; not in the table after Chabassier
+TYPICAL_MU = 0.1  # s/m, initial value of the paper (Table III)
 TYPICAL_VELOCITY = 2.0  # m/s, mezzo-forte
-STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier lie from 0.116 to 0.121
-PICKUP = 0.30  # x_m/L, near no node of the first partials; chosen once, published nowhere
-WIDTH = 0.02  # m, full width of the contact window; chosen once, published nowhere
+STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier have 0.116 to 0.121
+PICKUP = 0.30  # x_m/L, away from nodes of the first partials; chosen, not published
+WIDTH = 0.02  # m, full width of the contact window; chosen, not published
 
 
 @dataclass(frozen=True)
 class PublishedString:
-    """A string as a luthier would describe it."""
+    """Dimensions, density and tension of a string."""
 
     note: str
     midi: int
     f0: float  # Hz, as printed
     length: float  # m
     diameter: float  # m, of the core
-    density: float  # kg/m³, of the core's volume; above 7850 it carries the winding's mass
+    density: float  # kg/m³, relative to the core volume; values above 7850 include the mass of the winding
     tension: float  # N
     strike: float  # m
     source: str = CHABASSIER
@@ -67,13 +67,13 @@ class PublishedString:
 
     @property
     def kappa(self) -> float:
-        """κ = √(E I/(ρ A)), m²/s, with I = π d⁴/64 of the core: a winding adds mass and next to no stiffness."""
+        """κ = √(E I/(ρ A)), m²/s, with I = π d⁴/64 of the core. A winding adds mass, but almost no stiffness."""
         return self.diameter / 4 * math.sqrt(YOUNG / self.density)
 
 
 @dataclass(frozen=True)
 class PublishedHammer:
-    """A hammer's mass and static felt law F = K_H u^p, of the whole hammer, which strikes all strings of its note."""
+    """Mass and static felt law F = K_H u^p of a whole hammer, which strikes all strings of its note."""
 
     note: str
     midi: int
@@ -86,7 +86,7 @@ class PublishedHammer:
 
 @dataclass(frozen=True)
 class PublishedLoss:
-    """Decay rates b1 + b2 β² of a string."""
+    """Loss parameters of a string, with decay rates b1 + b2 β²."""
 
     note: str
     midi: int
@@ -112,10 +112,10 @@ HAMMERS = (
     PublishedHammer("C5", 72, 7.96e-3, 2.593, 2.532e10),
     PublishedHammer("A5", 81, 7.40e-3, 2.771, 7.611e10),
 )
-# Strings that a hammer strikes together, over the note number, in grand pianos: from a few single ones in the bass to
-# three. Each has its share of the hammer's mass and of its felt's force: what a model of one string is struck by.
+# Number of strings of a note over the MIDI number, in grand pianos: from one in the low bass to three. A model of one
+# string uses the share of one string in hammer mass and felt force.
 COURSES = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
-# One string's share of a hammer: half of the mass above at C2, a third at C4 and C7. For comparison, not in the table.
+# Share of one string: half of the mass above at C2, a third at C4 and C7. Only for comparison with the table.
 CHAIGNE_HAMMERS = (
     PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
     PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9, CHAIGNE),
@@ -130,30 +130,30 @@ LOSSES = (
 
 @dataclass(frozen=True)
 class Preset:
-    """A complete struck string: every number is published, interpolated, or completed as `completed` says."""
+    """A complete struck string. Every number is published, interpolated, or chosen as `completed` describes."""
 
     name: str
-    note: str | None  # None where the source names none
+    note: str | None  # None if the source names no note
     string: String
     hammer: Hammer
     geometry: Geometry
     source: str
     derivation: str
-    completed: str  # what the source lacks, and where it was taken from
-    interpolated: dict[str, str] = field(default_factory=dict)  # by field: between or beyond which published rows
+    completed: str  # values missing in the source, and their origin
+    interpolated: dict[str, str] = field(default_factory=dict)  # by field: the published rows next to it
 
     @property
     def f0(self) -> float:
-        """c/2L, Hz: the fundamental of the string without stiffness."""
+        """Fundamental frequency c/2L, Hz, of the string without stiffness."""
         return float(self.string.c / (2 * self.geometry.length))
 
 
 def preset(name: str) -> Preset:
-    """Return a string and a hammer of the literature.
+    """Return a string and a hammer from the literature.
 
     Parameters
     ----------
-    name : of the preset, such as "chabassier-F3"; the error for an unknown one lists all.
+    name : name of a preset, such as "chabassier-F3". The error for an unknown name lists all.
 
     Returns
     -------
@@ -162,53 +162,53 @@ def preset(name: str) -> Preset:
     Raises
     ------
     ParameterError
-        Naming the nearest, and all, names.
+        If the name is unknown. The message suggests the nearest name and lists all.
 
     Examples
     --------
     >>> import pianofit
-    >>> it = pianofit.preset("chabassier-F3")
-    >>> f"{it.note}, {it.f0:.1f} Hz, hammer {1e3 * it.hammer.M_H:.1f} g"
+    >>> f3 = pianofit.preset("chabassier-F3")
+    >>> f"{f3.note}, {f3.f0:.1f} Hz, hammer {1e3 * f3.hammer.M_H:.1f} g"
     'F3, 175.0 Hz, hammer 3.0 g'
     """
     if isinstance(name, str) and name in PRESETS:
         return PRESETS[name]
     near = difflib.get_close_matches(str(name).lower(), {key.lower(): key for key in PRESETS}, 1)
     hint = f"did you mean {next(key for key in PRESETS if key.lower() == near[0])}? " if near else ""
-    raise ParameterError(f"preset={str(name)!r} is not known; {hint}presets: {', '.join(PRESETS)}")
+    raise ParameterError(f"preset={str(name)!r} is unknown; {hint}presets: {', '.join(PRESETS)}")
 
 
 def typical(note: str | float) -> Preset:
     """Return the typical string and hammer of a key, interpolated from the literature.
 
-    It describes a grand piano in general and no instrument in particular. Length, tension, inharmonicity, losses,
+    The result describes grand pianos in general, not a particular instrument. Length, tension, inharmonicity, losses,
     strings per key, hammer mass and felt are interpolated over the note number by monotone cubics, on a log scale
-    except for p. Mass, c and κ follow from them, so that c = 2 L f0 holds at every note. Beyond its rows the tension
-    keeps its last value, and the other quantities continue with their last slope: at C7 p is 3.07, where Chaigne and
-    Askenfelt have 3.0. The hammer is the share of one string: mass and stiffness over the number of strings that the
-    hammer strikes. That number is one to D#1, two at C2, three from F3 on, and interpolated between.
+    except for p. Mass, c and κ are computed from them, so c = 2 L f0 holds at every note. Beyond its rows the tension
+    keeps its last value. The other quantities continue with their last slope: at C7 p is 3.07, while Chaigne and
+    Askenfelt have 3.0. Mass and stiffness of the hammer are divided by the number of strings that it strikes. That
+    number is one up to D#1, two at C2, three from F3 on, and interpolated between.
 
     Parameters
     ----------
-    note : a name such as "C4" or "F#2", or a MIDI number from 15 to 114, which may have a fraction.
+    note : a name such as "C4" or "F#2", or a MIDI number from 15 to 114, possibly with a fraction.
 
     Returns
     -------
-    A `Preset`. Its `source` lists the tables, `interpolated` names every interpolated number with the published rows
-    next to it, and `completed` names the numbers that were chosen.
+    A `Preset`. `source` lists the tables. `interpolated` names every interpolated number and the published rows next
+    to it. `completed` names the chosen numbers.
 
     Raises
     ------
     ParameterError
-        For a text that is not a note, and for a note outside the range.
+        If the text is not a note, or the note is out of range.
 
     Examples
     --------
     >>> import pianofit
-    >>> it = pianofit.typical("C4")
-    >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
+    >>> c4 = pianofit.typical("C4")
+    >>> f"{c4.f0:.1f} Hz, {c4.geometry.length:.2f} m, hammer {1e3 * c4.hammer.M_H:.1f} g"
     '261.6 Hz, 0.69 m, hammer 2.9 g'
-    >>> it.interpolated["M_H"]
+    >>> c4.interpolated["M_H"]
     'between A3 and A4'
     """
     return _typical(*_midi(note))
@@ -228,14 +228,14 @@ def _typical(midi: float, name: str) -> Preset:
         source=TYPICAL_SOURCE,
         derivation=SECOND_HAND,
         completed="c: 2 L f0 in equal temperament, A4 = 440 Hz; M_H, K_H: one string's share of a hammer that strikes "
-        "one string to D#1, two at C2, three from F3 on; mu: Bensa et al. (2005), Table III; v_H0, width, pickup: "
-        "chosen once; strike: 0.12 of the length, Chaigne and Askenfelt (1994)",
+        "one string up to D#1, two at C2, three from F3 on; mu: Bensa et al. (2005), Table III; v_H0, width, pickup: "
+        "chosen; strike_position: 0.12 of the length, Chaigne and Askenfelt (1994)",
         interpolated=_interpolated(midi, DERIVED),
     )
 
 
 def _midi(note: str | float) -> tuple[float, str]:
-    """The MIDI number of a note's name, or of the number itself, and what the note is called."""
+    """Return MIDI number and name of a note."""
     from .analysis.note_names import midi_to_note, note_to_midi
 
     try:
@@ -248,17 +248,17 @@ def _midi(note: str | float) -> tuple[float, str]:
 
 
 def _interpolated(midi: float, derived: dict[str, tuple[str, ...]]) -> dict[str, str]:
-    """By field, next to which published rows its value lies; a field whose tables all have a row at `midi` is none."""
-    found = {}
+    """Return the neighbouring published rows by field. Fields whose tables all have a row at `midi` are omitted."""
+    fields = {}
     for name, tables in derived.items():
-        places = dict.fromkeys(filter(None, (_place(midi, ROWS[table]) for table in tables)))
-        if places:
-            found[name] = "; ".join(places)
-    return found
+        neighbours = dict.fromkeys(filter(None, (_neighbours(midi, ROWS[table]) for table in tables)))
+        if neighbours:
+            fields[name] = "; ".join(neighbours)
+    return fields
 
 
-def _place(midi: float, rows: tuple[PublishedString | PublishedHammer | PublishedLoss, ...]) -> str:
-    """Between or beyond which rows a note lies; empty at a row."""
+def _neighbours(midi: float, rows: tuple[PublishedString | PublishedHammer | PublishedLoss, ...]) -> str:
+    """Return the rows next to a note as text. It is empty if the note has a row."""
     if any(row.midi == midi for row in rows):
         return ""
     below, above = [row.note for row in rows if row.midi < midi], [row.note for row in rows if row.midi > midi]
@@ -268,7 +268,7 @@ def _place(midi: float, rows: tuple[PublishedString | PublishedHammer | Publishe
 
 
 def _geometry(length: float, mass: float, strike: float | None = None) -> Geometry:
-    """Complete a geometry; near the top of the keyboard the contact window is narrowed to fit beside the agraffe."""
+    """Complete a geometry. On the shortest strings the contact window is narrower, to end before the agraffe."""
     width = min(WIDTH, 0.15 * length)
     return Geometry(length, mass, STRIKE * length if strike is None else strike, width, PICKUP * length)
 
@@ -290,7 +290,7 @@ TABLES: dict[str, list[tuple[float, float]]] = {
 }
 
 
-# The published rows behind each table, and the tables behind each field of a typical note.
+# Published rows of each table, and tables of each field of a typical note.
 ROWS = {
     **dict.fromkeys(("length", "tension", "B"), STRINGS),
     **dict.fromkeys(("b1", "b2"), LOSSES),
@@ -299,17 +299,17 @@ ROWS = {
 FELT_AND_LOSSES = {name: (name,) for name in ("b1", "b2", "K_H", "p", "M_H")}
 DERIVED = {
     "c": ("length",), "kappa": ("length", "B"), **FELT_AND_LOSSES, "length": ("length",), "mass": ("length", "tension"),
-    "strike": ("length",), "pickup": ("length",),
+    "strike_position": ("length",), "pickup": ("length",),
 }  # fmt: skip
 TYPICAL_SOURCE = f"strings and hammers {CHABASSIER}; losses: {BENSA_2003}"
 
 
 @cache
 def _curve(name: str) -> Callable[[float], float]:
-    """Return one table as a function of the note number: a monotone cubic between its rows, straight beyond them.
+    """Return one table as a function of the note number: a monotone cubic between its rows, linear beyond them.
 
-    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so that the cubic never overshoots; at either end it
-    is the next interval's own.
+    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so the cubic does not overshoot. At both ends it
+    is the slope of the adjacent interval.
     """
     from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
@@ -328,23 +328,23 @@ def _curve(name: str) -> Callable[[float], float]:
     return at
 
 
-# What the paper does not give: a 1 m steel wire of 1 mm weighs 6.18 g and at c = 310.6 m/s pulls 596 N, which is usual;
-# the strike and the pickup stand where `typical` puts them; the initial κ is the final one, having none of its own.
+# Values that the paper lacks. A steel wire of 1 m and 1 mm has 6.18 g, and at c = 310.6 m/s a usual tension of 596 N.
+# Strike and pickup positions are those of `typical`. The paper gives no initial κ, so the final one is used.
 _PAPER_GEOMETRY = Geometry(length=1.0, mass=6.18e-3, strike_position=0.12, width=0.02, pickup=0.30)
-_PAPER_LACKS = "M_S, x0, window, pickup: chosen once"
+_PAPER_LACKS = "M_S, x0, window, pickup: chosen"
 
 
 def _after_chabassier(row: PublishedString) -> Preset:
-    usual = _typical(row.midi, row.note)
-    string = usual.string._replace(c=row.c, kappa=row.kappa)
+    typical_note = _typical(row.midi, row.note)
+    string = typical_note.string._replace(c=row.c, kappa=row.kappa)
     name = f"chabassier-{row.note.replace('#', 's')}"
     completed = (
-        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen once; losses: "
+        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen; losses: "
         "Bensa et al. (2003)"
     )
     geometry = _geometry(row.length, row.mass, row.strike)
     return Preset(
-        name, row.note, string, usual.hammer, geometry, row.source, row.derivation, completed,
+        name, row.note, string, typical_note.hammer, geometry, row.source, row.derivation, completed,
         _interpolated(row.midi, FELT_AND_LOSSES),
     )  # fmt: skip
 
@@ -352,10 +352,14 @@ def _after_chabassier(row: PublishedString) -> Preset:
 def _chaigne_c4() -> Preset:
     length, mass, tension, epsilon = 0.62, 3.93e-3, 670.0, 3.82e-5
     c = math.sqrt(tension * length / mass)
-    usual, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
-    string = usual.string._replace(c=c, kappa=math.sqrt(epsilon) * c * length)  # their stiffness term is ε c² L² y_xxxx
-    hammer = usual.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
-    completed = "mu, window, pickup: chosen once; losses after Bensa et al. (2003): theirs are of another kind"
+    typical_note, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
+    string = typical_note.string._replace(
+        c=c, kappa=math.sqrt(epsilon) * c * length
+    )  # stiffness term of the source: ε c² L² y_xxxx
+    hammer = typical_note.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
+    completed = (
+        "mu, window, pickup: chosen; losses after Bensa et al. (2003), because the source has another loss model"
+    )
     return Preset(
         "chaigne-askenfelt-C4", "C4", string, hammer, _geometry(length, mass), CHAIGNE, SECOND_HAND, completed
     )
@@ -368,7 +372,7 @@ PRESETS: dict[str, Preset] = {
             "bensa-initial", None,
             String(c=310.6, kappa=1.737, b1=0.500, b2=1.004e-10),
             Hammer(K_H=1.51647e9, mu=0.1000, p=2.55, M_H=6.790e-3, v_H0=0.74078),
-            _PAPER_GEOMETRY, PAPER, READ, f"{_PAPER_LACKS}; kappa: the final one",
+            _PAPER_GEOMETRY, PAPER, READ, f"{_PAPER_LACKS}; kappa: the final value",
         ),
         Preset(
             "bensa-final", None,

@@ -1,8 +1,8 @@
-"""What a struck string is made of, in numbers: names, units, bounds and scale, in one place.
+"""Parameters of a struck string: names, units, bounds and priors.
 
-`String` and `Hammer` together are the paper's nine parameters (eq. 20); hammers with other felts are those of `felt`.
-`Geometry` is what the paper measures with a ruler and a balance. All are named tuples, and so JAX pytrees: they pass
-through `jit`, `vmap` and `grad` as they are, and this module needs no JAX.
+`String` and `Hammer` together hold the nine parameters of the paper (eq. 20). `felt` has hammers with other felt laws.
+`Geometry` holds the sizes that the paper measures directly. All are named tuples, which JAX treats as pytrees, so they
+pass through `jit`, `vmap` and `grad`. This module does not import JAX.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ __all__ = [
     "check", "check_seed", "check_velocity",
 ]  # fmt: skip
 
-# A box that says nothing else is the 95 % of its prior: so many standard deviations, 2 · 1.96.
+# Width of a box in standard deviations of its prior, 2 · 1.96, unless a spread is given: the box is the 95 % interval.
 BOX_WIDTH = 3.92
-# A field holds a number, or an array or tracer of the same meaning inside a computation.
+# Fields hold numbers, or arrays and tracers inside a computation.
 Number = Any
 
 
 class String(NamedTuple):
-    """The string's wave equation (paper eq. 1).
+    """Coefficients of the wave equation of the string (paper eq. 1).
 
     Parameters
     ----------
-    c : transverse wave speed, m/s.
+    c : wave speed, m/s.
     kappa : stiffness coefficient, m²/s.
-    b1, b2 : loss parameters, 1/s and m²/s: a mode of wave number β decays at b1 + b2 β².
+    b1, b2 : loss parameters, 1/s and m²/s: a mode of wavenumber β has the decay rate b1 + b2 β².
     """
 
     c: Number
@@ -52,9 +52,9 @@ class Hammer(NamedTuple):
     ----------
     K_H : felt stiffness, N/m^p.
     mu : felt loss coefficient, s/m.
-    p : stiffness exponent.
+    p : felt exponent.
     M_H : hammer mass, kg.
-    v_H0 : hammer velocity at the first touch, m/s.
+    v_H0 : hammer velocity at the first contact, m/s.
     """
 
     K_H: Number
@@ -68,15 +68,15 @@ class Hammer(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """The string's size, and where it is struck and heard; positions are measured from the agraffe.
+    """Size of the string, and positions of hammer and pickup, measured from the agraffe.
 
     Parameters
     ----------
     length : L, m.
     mass : M_S, of the whole string, kg.
-    strike : x0, centre of the contact window, m.
+    strike_position : x0, centre of the contact window, m.
     width : full width of the contact window, m.
-    pickup : x_m, m; ignored by a pickup at the bridge.
+    pickup : x_m, m; not used by a pickup at the bridge.
     """
 
     length: Number
@@ -90,45 +90,45 @@ class Geometry(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One parameter's unit, meaning and box, and for fits its prior: log-normal, within the box.
+    """Unit, meaning, bounds and prior of one parameter. The prior is log-normal within the bounds.
 
-    All are searched on a log scale: all are positive and span decades.
+    Fits search the logarithms, because all parameters are positive and span decades.
     """
 
     unit: str
     meaning: str
     lower: float
     upper: float
-    # Of the prior; a function of the MIDI key where it changes over the keyboard, the middle of the box if None,
+    # Median of the prior, or a function of the MIDI key. None: the geometric mean of the bounds.
     median: float | Callable[[float], float] | None = None
-    # and the standard deviation of the logarithm; if None the box is its 95 %.
+    # Standard deviation of the logarithm. None: the bounds are the 95 % interval.
     spread: float | None = None
 
     def prior_median(self, midi: float) -> float:
-        """The prior's median at a key."""
+        """Median of the prior at a key."""
         if self.median is None:
             return math.sqrt(self.lower * self.upper)
         return float(self.median(midi) if callable(self.median) else self.median)
 
     @property
     def prior_sd(self) -> float:
-        """The prior's standard deviation of the logarithm."""
+        """Standard deviation of the logarithm under the prior."""
         return math.log(self.upper / self.lower) / BOX_WIDTH if self.spread is None else self.spread
 
     def check(self, where: str) -> None:
-        """Refuse a box that is none, and a prior outside of it.
+        """Check the bounds and the prior.
 
         Raises
         ------
         ParameterError
-            Naming `where`, what is wrong, and the values.
+            If the bounds are invalid, or the prior is outside them.
         """
         if not 0 < self.lower < self.upper < math.inf:
-            raise ParameterError(f"{where}: bounds {self.lower!r} to {self.upper!r} must rise from above 0")
+            raise ParameterError(f"{where}: bounds {self.lower!r} to {self.upper!r} must be positive and increasing")
         if not (self.median is None or callable(self.median) or self.lower <= self.median <= self.upper):
             raise ParameterError(f"{where}: median={self.median!r} must be from {self.lower:g} to {self.upper:g}")
         if not (self.spread is None or 0 < self.spread < math.inf):
-            raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; hold a value by [fixed]")
+            raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; use [fixed] to hold a value")
 
 
 PARAMETERS: dict[str, Parameter] = {
@@ -138,7 +138,7 @@ PARAMETERS: dict[str, Parameter] = {
     "b2": Parameter("m²/s", "loss that grows with frequency", 1e-12, 1e-1),
     "K_H": Parameter("N/m^p", "felt stiffness", 1e4, 1e16),
     "mu": Parameter("s/m", "felt loss coefficient", 1e-3, 1e1),
-    "p": Parameter("1", "stiffness exponent", 1.0, 5.0),
+    "p": Parameter("1", "felt exponent", 1.0, 5.0),
     "M_H": Parameter("kg", "hammer mass, one string's share", 1e-4, 1e-1),
     "v_H0": Parameter("m/s", "initial hammer velocity", 1e-2, 2e1),
 }
@@ -150,13 +150,13 @@ FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
 def check(
     values: Mapping[str, float], where: str = "argument", bounds: Mapping[str, Parameter] = PARAMETERS
 ) -> dict[str, float]:
-    """Return `values` as finite floats within their `boxes`.
+    """Return `values` as finite floats within their `bounds`.
 
-    Raises `ParameterError`, naming `where`, the parameter, its value, and the range with its unit.
+    Raises `ParameterError` otherwise. The message names `where`, the parameter, its value and its range.
     """
     for name, value in values.items():
         if name not in bounds:
-            raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(bounds)}")
+            raise ParameterError(f"{where}: no parameter is called {name!r}; use one of {', '.join(bounds)}")
         box = bounds[name]
         if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
             unit = "" if box.unit == "1" else f" {box.unit}"
@@ -167,12 +167,12 @@ def check(
 
 
 def check_velocity(velocity: float | None) -> None:
-    """Refuse by a `ParameterError` a hammer velocity, m/s, outside the box; None is one that was not given."""
+    """Raise a `ParameterError` if a hammer velocity, m/s, is out of range. None means not given."""
     if velocity is not None:
         check_range("velocity=", velocity, PARAMETERS["v_H0"].lower, PARAMETERS["v_H0"].upper, " m/s")
 
 
 def check_seed(seed: int) -> None:
-    """Refuse by a `ParameterError` a seed that no random numbers come of."""
+    """Raise a `ParameterError` if `seed` is not a whole number from 0."""
     if not isinstance(seed, Integral) or seed < 0:
         raise ParameterError(f"seed={seed!r} must be a whole number from 0")

@@ -1,4 +1,4 @@
-"""How far a long job has come: a bar in a terminal, a line in a notebook, nothing where neither is."""
+"""Progress of long computations: a bar in a terminal, a line in a notebook, nothing elsewhere."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import Callable, Iterator
 
 __all__ = ["Progress", "progress_bar"]
 
-# Called with a stage's name and the fraction done.
+# Called with the name of a stage and the completed fraction.
 Progress = Callable[[str, float], None]
 
 
 @contextlib.contextmanager
 def progress_bar(progress: Progress | bool | None = None) -> Iterator[Progress]:
-    """Where a job reports to: a function of one's own, nowhere for False, or what suits the place by default."""
+    """Return the function to report progress to: the given one, none for False, or by default a bar or a line."""
     if callable(progress):
         yield progress
     elif progress is False:
         yield lambda *_: None
     elif sys.stderr.isatty():
         yield from _bar()
-    elif "ipykernel" in sys.modules:  # a notebook, whose stderr is no terminal but knows a carriage return
+    elif "ipykernel" in sys.modules:  # the stderr of a notebook is not a terminal, but supports carriage returns
         yield _line
         sys.stderr.write("\r" + " " * 40 + "\r")
     else:

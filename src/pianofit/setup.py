@@ -1,8 +1,8 @@
-"""What was known before the recordings, checked when it is made: in Python, in a dict, or in a `setup.toml`.
+"""Values that the user gives: sizes, fixed and initial values, bounds and recordings.
 
-A measured length that is mistyped must not silently become an assumed one. So every table, key, type, unit range and
-contradiction is checked by `Setup` itself, and what is wrong is named with the key, the value and the way out, in the
-words of the file. All values are in SI units; a length in centimetres or a mass in grams falls outside its range.
+A mistyped length must not silently become an assumed one. `Setup` therefore checks every table, key, type, range and
+contradiction. Its errors name the key as a `setup.toml` has it, the value, and what to do. A setup comes from Python, a
+dict or a `setup.toml`. All values are in SI units, so a length in centimetres or a mass in grams is out of range.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .parameters import Parameter
 __all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
-ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
+ON_THE_STRING = ("velocity", "displacement")  # these need a position
 MAX_BYTES = 2**20
 
 # Lower, upper, unit. A piano's strings are 0.05 to 2.3 m long and weigh 0.1 to 300 g.
@@ -36,11 +36,9 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "width": (1e-5, 1.0, "m"),
     "scale": (1e-12, 1e12, "units at digital full scale"),
 }
-# What belongs to the felt of some law.
+# Parameters of any felt law.
 FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
-# What older files call the table of recordings, and the stroke in its entries.
-OLDER_TABLE, OLDER_STROKE = "take", "strike"
-# Where the attributes of a `Setup` stand in a file; the others have tables of their own.
+# Table and key of an attribute in a file. The other attributes have a table each.
 PLACES = {
     "length": ("string", "length"), "mass": ("string", "mass"),
     "strike_position": ("strike", "position"), "strike_width": ("strike", "width"),
@@ -51,19 +49,19 @@ PLACES = {
 
 @dataclass(frozen=True, repr=False)
 class RecordingInfo:
-    """One recording of the note; checked by the `Setup` that it is given to."""
+    """Setup of one recording. `Setup` checks it."""
 
     file: str | None = None
     v_H0: float | None = None  # m/s, measured
-    group: str | None = None  # recordings of a group share one output path
+    group: str | None = None  # path group: its recordings share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
-    stroke: str | None = None  # recordings of one hammer stroke at several microphones have one
+    stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
 
     def __repr__(self) -> str:
         return filled(self)
 
 
-# The tables of a file, and what each may hold.
+# Tables of a file and their keys.
 KEYS: dict[str, tuple[str, ...]] = {
     **{table: tuple(key for other, key in PLACES.values() if other == table) for table, _ in PLACES.values()},
     **dict.fromkeys(("fixed", "initial", "bounds"), tuple(BOXES)),
@@ -73,12 +71,12 @@ KEYS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, repr=False)
 class Setup:
-    """What was known beforehand, SI units; None or empty where nothing was said.
+    """Sizes, fixed and initial values, bounds and recordings, in SI units. None or empty means not given.
 
     Raises
     ------
     SetupError
-        Naming table and key as a `setup.toml` has them, the value, and the way out.
+        If a value is invalid. The message names the table and key of a `setup.toml`, the value, and what to do.
     """
 
     length: float | None = None  # m
@@ -92,7 +90,7 @@ class Setup:
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
-    felt: str | FeltLaw | None = None  # the name of one of `felt.LAWS`, or a law of your own
+    felt: str | FeltLaw | None = None  # a name in `felt.LAWS`, or your own law
 
     def __repr__(self) -> str:
         return filled(self)
@@ -102,29 +100,29 @@ class Setup:
         for name, (table, key) in PLACES.items():
             if key in RANGES and getattr(self, name) is not None:
                 checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
-        _one_of(self.pickup_quantity, PICKUPS, "[pickup] quantity")
-        _law(self.felt)
+        _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
+        _check_law(self.felt)
         boxes = BOXES | self.law.boxes
-        for name, check in (("fixed", _parameter), ("initial", _parameter), ("bounds", _pair)):
+        for name, check in (("fixed", _parameter_value), ("initial", _parameter_value), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
             checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
-            raise SetupError(f"recordings = {_show(self.recordings)} must be a list of Layer")
-        checked["recordings"] = tuple(_layer(entry, n) for n, entry in enumerate(self.recordings, 1))
+            raise SetupError(f"recordings = {_show(self.recordings)} must be a list of RecordingInfo")
+        checked["recordings"] = tuple(_recording_info(entry, n) for n, entry in enumerate(self.recordings, 1))
         for name, value in checked.items():
-            object.__setattr__(self, name, value)  # the numbers as floats; frozen from here on
-        for contradictions in (_strike, _pickup, _values, _velocities, _strokes):
+            object.__setattr__(self, name, value)  # numbers became floats
+        for contradictions in CONTRADICTIONS:
             for contradiction in contradictions(self):
                 raise SetupError(contradiction)
 
     @property
     def law(self) -> FeltLaw:
-        """The felt's law."""
+        """The felt law."""
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
 
 
 def recording_info_for(setup: Setup, file: str, alone: bool) -> RecordingInfo:
-    """What a setup says of one recording, the only one of its fit if `alone`: the entry of its name, or without any."""
+    """Return the entry with the name of `file`. If `alone`, the first entry without a file is the second choice."""
     named = [entry for entry in setup.recordings if entry.file and Path(entry.file).name == Path(file).name]
     nameless = [entry for entry in setup.recordings if alone and not entry.file]
     return next(iter([*named, *nameless]), RecordingInfo())
@@ -135,8 +133,8 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
 
     Parameters
     ----------
-    path : of the file; its tables and keys, with units, are those of docs/files.md.
-    felt : the felt's law, for a file that names none.
+    path : path of the file. docs/files.md lists tables, keys and units.
+    felt : name of the felt law, if the file has none.
 
     Returns
     -------
@@ -145,7 +143,7 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     Raises
     ------
     SetupError
-        Naming the file, the key, the value, and the way out.
+        If the file is invalid. The message names the file, the key, the value, and what to do.
 
     Examples
     --------
@@ -158,24 +156,24 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     name = path_name(path)
     try:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
-    except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
-        raise SetupError(f"{name}: not valid TOML: {printable(problem)[:200]}; correct that place") from None
+    except (ValueError, RecursionError) as problem:  # RecursionError: deeply nested brackets
+        raise SetupError(f"{name}: not valid TOML: {printable(problem)[:200]}; correct that line") from None
     if felt is None:
         return setup_from_dict(table, name)
-    said = table.get("felt", {})
-    setup = setup_from_dict(table | {"felt": {"law": felt} | said if isinstance(said, dict) else said}, name)
-    if setup.law.name != felt:  # the file's own law was checked with the rest of it
+    given = table.get("felt", {})
+    setup = setup_from_dict(table | {"felt": {"law": felt} | given if isinstance(given, dict) else given}, name)
+    if setup.law.name != felt:  # the file has a law of its own
         raise SetupError(f'{name}: [felt] law = "{setup.law.name}" contradicts felt={felt!r}; remove one of them')
     return setup
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
-    """Make a setup of nested dicts.
+    """Make a setup from nested dicts.
 
     Parameters
     ----------
     data : tables and keys as in a `setup.toml`, SI units.
-    where : what every error begins with.
+    where : beginning of every error message.
 
     Returns
     -------
@@ -192,37 +190,22 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "fixed": {"M_H": 0.0087}}, "my grand").fixed
     {'M_H': 0.0087}
     """
+    check_type("setup=", data, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
     try:
-        tables = {name: _entries(name, content) for name, content in _renamed(data).items()}
-        said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
-        said |= {name: tables[name] for name in ("fixed", "initial", "bounds") if name in tables}
-        return Setup(**said, recordings=tuple(tables.get("recording", ())))
+        tables = {name: _entries(name, content) for name, content in data.items()}
+        given = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
+        given |= {name: tables[name] for name in ("fixed", "initial", "bounds") if name in tables}
+        return Setup(**given, recordings=tuple(tables.get("recording", ())))
     except SetupError as error:
         raise SetupError(f"{where}: {error}") from None
 
 
-def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """An older file's tables and keys by today's names."""
-    check_type("setup=", data, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
-    tables = dict(data)
-    if OLDER_TABLE in tables:
-        older, newer = tables.pop(OLDER_TABLE), tables.get("recording", [])
-        tables["recording"] = [*newer, *older] if isinstance(older, list) and isinstance(newer, list) else older
-    if isinstance(tables.get("recording"), list):
-        tables["recording"] = [
-            {"stroke" if key == OLDER_STROKE else key: value for key, value in entry.items()}
-            if isinstance(entry, Mapping) and "stroke" not in entry else entry
-            for entry in tables["recording"]
-        ]  # fmt: skip
-    return tables
-
-
 def _entries(name: str, content: object) -> Any:
-    """A table of a file, or the list of its entries, with no key that has no meaning."""
+    """Check the names of a table, or of a list of tables."""
     if name not in KEYS:
         raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
     if name in ("fixed", "initial", "bounds"):
-        return content  # by the felt's law, which another table names
+        return content  # `Setup` checks the names: they depend on the felt law
     if name != "recording":
         return _table(name, content)
     if not isinstance(content, list):
@@ -231,7 +214,7 @@ def _entries(name: str, content: object) -> Any:
 
 
 def _table(name: str, content: object, keys: tuple[str, ...] = ()) -> Mapping[str, Any]:
-    """A table whose keys all have a meaning: of `keys`, or of those that a file's table of this name has."""
+    """Check the keys of a table against `keys`, or against `KEYS`."""
     allowed = keys or KEYS[name]
     if not isinstance(content, Mapping):
         header = f"[[{name}]]" if name == "recording" else f"[{name}]"
@@ -243,13 +226,13 @@ def _table(name: str, content: object, keys: tuple[str, ...] = ()) -> Mapping[st
 
 
 def _suggest(key: object, allowed: tuple[str, ...]) -> str:
-    """Name the nearest allowed key, the table the key belongs to, or all that is allowed."""
+    """Suggest the nearest allowed key, the right table, or list all allowed keys."""
     lower = {name.lower(): name for name in allowed}
     near = difflib.get_close_matches(str(key).lower(), lower, 1, 0.7)
     if near:
         return f"did you mean {lower[near[0]]}?"
     homes = [f"[{table}]" for table, keys in KEYS.items() if key in keys]
-    return f"it belongs in {' or '.join(homes)}" if homes else f"known here: {', '.join(allowed)}"
+    return f"it belongs in {' or '.join(homes)}" if homes else f"allowed: {', '.join(allowed)}"
 
 
 def _show(value: object) -> str:
@@ -260,7 +243,7 @@ def _show(value: object) -> str:
 
 
 def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
-    """Return a number within its range; comparing first keeps integers too large for a float out."""
+    """Return a number within its range. Comparing before converting rejects integers too large for a float."""
     if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
@@ -269,44 +252,44 @@ def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: 
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)  # NumPy's numbers are real ones
+    return isinstance(value, Real) and not isinstance(value, bool)  # includes NumPy's numbers
 
 
-def _one_of(value: object, allowed: tuple[str, ...], where: str) -> None:
+def _check_choice(value: object, allowed: tuple[str, ...], where: str) -> None:
     if not isinstance(value, str) or value not in allowed:
         raise SetupError(f"{where} = {_show(value)} must be one of {', '.join(allowed)}")
 
 
-def _law(felt: object) -> None:
-    """Refuse what is no law, and a law from outside by the name of one of the package's."""
+def _check_law(felt: object) -> None:
+    """Reject a value that is not a law, and a user's law with the name of a built-in one."""
     if felt is None:
         return
     if not isinstance(felt, FeltLaw):
-        _one_of(felt, tuple(LAWS), "[felt] law")
+        _check_choice(felt, tuple(LAWS), "[felt] law")
     elif felt.name in LAWS and not is_builtin(felt):
-        raise SetupError(f"[felt] law = {_show(felt.name)} is one of the package's own; give yours another name")
+        raise SetupError(f"[felt] law = {_show(felt.name)} is the name of a built-in law; give yours another name")
 
 
-def _parameter(value: object, key: str, where: str, box: Parameter) -> float:
+def _parameter_value(value: object, key: str, where: str, box: Parameter) -> float:
     return _number(value, key, box.lower, box.upper, box.unit, where)
 
 
-def _pair(pair: object, key: str, where: str, box: Parameter) -> tuple[float, float]:
+def _bounds(pair: object, key: str, where: str, box: Parameter) -> tuple[float, float]:
     if not isinstance(pair, list | tuple) or len(pair) != 2:
         raise SetupError(f"{where} {key} = {_show(pair)} must be two numbers, [lower, upper]")
-    lower, upper = (_parameter(value, key, where, box) for value in pair)
+    lower, upper = (_parameter_value(value, key, where, box) for value in pair)
     if lower >= upper:
         raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [fixed]")
     return lower, upper
 
 
-def _layer(entry: object, number: int) -> RecordingInfo:
+def _recording_info(entry: object, number: int) -> RecordingInfo:
     where = f"[[recording]] {number}"
-    said = asdict(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
-    table = {key: value for key, value in said.items() if value is not None}
+    given = asdict(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
+    table = {key: value for key, value in given.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _parameter(value, key, where, BOXES[key])
+            table[key] = _parameter_value(value, key, where, BOXES[key])
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
@@ -314,80 +297,88 @@ def _layer(entry: object, number: int) -> RecordingInfo:
     return RecordingInfo(**table)
 
 
-# What of a setup cannot be true together, each with the way out.
+# Contradictions in a setup. Each function yields messages that say what to do.
 
 
-def _strike(setup: Setup) -> Iterator[str]:
-    """A contact window that does not lie on the string."""
+def _strike_contradictions(setup: Setup) -> Iterator[str]:
+    """Contact windows that are not on the string."""
     position, length = setup.strike_position, setup.length
     half = (setup.strike_width or 0.0) / 2
     if position is not None and position < half:
-        yield (f"[strike] width = {2 * half:g} m reaches past the agraffe from position = {position:g} m; narrow it or "
+        yield (f"[strike] width = {2 * half:g} m extends past the agraffe at position = {position:g} m; reduce it or "
                "correct the position")  # fmt: skip
     if length is not None and (position or half) + half > length:
-        yield (f"[strike] reaches {(position or half) + half:g} m from the agraffe, past the string's length = "
+        yield (f"[strike] extends to {(position or half) + half:g} m from the agraffe, past the string length = "
                f"{length:g} m; correct position, width or [string] length")  # fmt: skip
 
 
-def _pickup(setup: Setup) -> Iterator[str]:
-    """A position or a scale that means nothing with the quantity."""
+def _pickup_contradictions(setup: Setup) -> Iterator[str]:
+    """A position or a scale that does not fit the quantity."""
     quantity, position, scale = setup.pickup_quantity, setup.pickup_position, setup.pickup_scale
     if quantity in ON_THE_STRING and position is None:
         yield f'[pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it'
     if quantity not in ON_THE_STRING and position is not None:
-        yield (f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; say velocity or '
+        yield (f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use velocity or '
                "displacement, or remove the position")  # fmt: skip
     if quantity == "pressure" and scale is not None:
-        yield (f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", which comes through an unknown '
-               "path; say velocity, displacement or bridge-force, or remove the scale")  # fmt: skip
+        yield (f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", because the output path is '
+               "unknown; use velocity, displacement or bridge-force, or remove the scale")  # fmt: skip
     if position is not None and setup.length is not None and position >= setup.length:
         yield (f"[pickup] position = {position:g} m is not on the string of length = {setup.length:g} m; correct one "
                "of them")  # fmt: skip
 
 
-def _values(setup: Setup) -> Iterator[str]:
-    """A value both known and free, one that the felt's law does not have, or a start outside its bounds."""
+def _value_contradictions(setup: Setup) -> Iterator[str]:
+    """Values both fixed and free, parameters of another felt law, and initial values outside their bounds."""
     law = setup.law
     for name in setup.fixed:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
-                yield f"{name} is in [fixed], held fixed, and in [{table}]; remove one of them"
+                yield f"{name} is in [fixed] and in [{table}]; remove one of them"
     for name in (*setup.fixed, *setup.initial, *setup.bounds):
         if name in FELT_NAMES and name not in law.parameters:
-            has = ", ".join(law.parameters)
-            yield f"{name} is no parameter of the felt's law, {law.name}, which has {has}; remove it"
+            allowed = ", ".join(law.parameters)
+            yield f"{name} is not a parameter of the felt law {law.name}, which has {allowed}; remove it"
     for name, (lower, upper) in setup.bounds.items():
         if not lower <= (value := setup.initial.get(name, lower)) <= upper:
             yield f"[initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
 
 
-def _velocities(setup: Setup) -> Iterator[str]:
-    """A second velocity for a recording, or a file named twice."""
+def _velocity_contradictions(setup: Setup) -> Iterator[str]:
+    """Recordings with two velocities, and files given twice."""
     lower, upper = setup.bounds.get("v_H0", (0.0, float("inf")))
     files: set[str] = set()
-    for number, layer in enumerate(setup.recordings, 1):
-        entry, velocity = f"[[recording]] {number}", layer.v_H0
-        if layer.file in files:
-            yield f'{entry} file = "{printable(layer.file)}" is there twice; remove one'
+    for number, recording in enumerate(setup.recordings, 1):
+        entry, velocity = f"[[recording]] {number}", recording.v_H0
+        if recording.file in files:
+            yield f'{entry} file = "{printable(recording.file)}" is given twice; remove one'
         if velocity is not None and "v_H0" in setup.fixed:
             yield f"{entry} v_H0 = {velocity:g} is also in [fixed]; remove one of them"
         if velocity is not None and not lower <= velocity <= upper:
             yield f"{entry} v_H0 = {velocity:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
-        files |= {layer.file} if layer.file else set()
+        files |= {recording.file} if recording.file else set()
 
 
-def _strokes(setup: Setup) -> Iterator[str]:
-    """One stroke with two velocities, or observed twice by one microphone."""
+def _stroke_contradictions(setup: Setup) -> Iterator[str]:
+    """Strokes with two velocities, or with two recordings through one output path."""
     observed: dict[tuple[str, str | None], int] = {}
-    struck: dict[str, float] = {}
-    for number, layer in enumerate(setup.recordings, 1):
-        if layer.stroke is None:
+    velocities: dict[str, float] = {}
+    for number, recording in enumerate(setup.recordings, 1):
+        if recording.stroke is None:
             continue
-        entry = f'[[recording]] {number} stroke = "{printable(layer.stroke)}"'
-        other = observed.setdefault((layer.stroke, layer.group), number)
+        entry = f'[[recording]] {number} stroke = "{printable(recording.stroke)}"'
+        other = observed.setdefault((recording.stroke, recording.group), number)
         if other != number:
-            group = "neither has a group" if layer.group is None else f'both have group = "{printable(layer.group)}"'
-            yield (f"{entry} is that of [[recording]] {other}, and {group}; a microphone observes a stroke once: give "
-                   "each its own group, or another stroke")  # fmt: skip
-        if layer.v_H0 is not None and (first := struck.setdefault(layer.stroke, layer.v_H0)) != layer.v_H0:
-            yield f"{entry} has v_H0 = {layer.v_H0:g} and {first:g}; one stroke has one velocity: correct one"
+            name = recording.group
+            group = "neither has a group" if name is None else f'both have group = "{printable(name)}"'
+            yield (f"{entry} is also the stroke of [[recording]] {other}, and {group}; a microphone records a stroke "
+                   "once: give each its own group, or another stroke")  # fmt: skip
+        velocity = recording.v_H0
+        if velocity is not None and (first := velocities.setdefault(recording.stroke, velocity)) != velocity:
+            yield f"{entry} has v_H0 = {velocity:g} and {first:g}; one stroke has one velocity: correct one of them"
+
+
+CONTRADICTIONS = (
+    _strike_contradictions, _pickup_contradictions, _value_contradictions, _velocity_contradictions,
+    _stroke_contradictions,
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""How many threads there are: for our own work, and for BLAS, whose threads would wait for each other or for ours."""
+"""Number of threads of this process, and of BLAS, whose threads would compete with ours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .errors import FitError
 
 __all__ = ["check_process", "cores", "one_blas_thread"]
 
-_forked = False  # whether this process is a copy of one in which JAX had started
+_forked = False  # True in a process that was forked after JAX had started
 
 
 def _after_fork() -> None:
@@ -25,33 +25,33 @@ if hasattr(os, "register_at_fork"):
 
 
 def check_process() -> None:
-    """Refuse to compute in a process that was forked after JAX had started: JAX's threads are not in the copy.
+    """Raise an error in a process that was forked after JAX had started, because a fork lacks the threads of JAX.
 
     Raises
     ------
     FitError
-        Saying how to start processes instead.
+        If the process was forked. The message says how to start processes instead.
     """
     if _forked:
         raise FitError(
-            "this process was forked after JAX had started, and JAX would wait for ever; start processes by "
+            "this process was forked after JAX had started, and JAX would block; start processes with "
             "multiprocessing.get_context('spawn')"
         )
 
 
 def cores() -> int:
-    """Threads that this process may keep busy: what NPROC says, by which XLA goes too, or the cores it is let use."""
-    if (said := os.environ.get("NPROC", "")).isdecimal() and int(said):
-        return int(said)
+    """Return the number of threads to use: NPROC, which XLA uses too, or the cores available to this process."""
+    if (count := os.environ.get("NPROC", "")).isdecimal() and int(count):
+        return int(count)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """NumPy's and SciPy's BLAS use one thread within it, and what the caller had set after it. Also a decorator.
+    """Limit the BLAS of NumPy and SciPy to one thread, and restore the previous limit. Also a decorator.
 
-    The matrices of a fit are some 20 to 200 wide, and several are worked on at once. Left to itself, OpenBLAS waits for
-    cores that are taken, and a fit can take ten times as long.
+    A fit processes several matrices of about 20 to 200 rows at once. Otherwise OpenBLAS waits for busy cores, and a fit
+    can take ten times as long.
     """
     from threadpoolctl import threadpool_limits
 

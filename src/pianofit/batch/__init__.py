@@ -1,4 +1,4 @@
-"""A sample library as one batch: a manifest, a ledger, and workers on this machine or on a cluster."""
+"""Fits of a whole sample library: a manifest, one job for each key, and workers on this machine or on a cluster."""
 
 from .dask_pool import Cluster, check_cluster
 from .job import Job, Settings, make_unit

@@ -1,8 +1,8 @@
-"""A running dask.distributed cluster as workers: the same units, sent to a scheduler, results back to the one batch.
+"""Workers of a running dask.distributed cluster. They run the same jobs as local processes, through a scheduler.
 
-A worker that is lost is the scheduler's to notice; it gives the unit to another. A scheduler that is lost ends the
-batch with what is finished kept. No more units are sent ahead than keep the workers busy, so that recordings sent by
-value do not pile up in the scheduler.
+If a worker is lost, the scheduler detects it and gives the job to another worker. If the scheduler is lost, the batch
+stops and keeps all finished results. Only as many jobs are sent ahead as keep the workers busy. Recordings sent by
+value therefore do not accumulate in the scheduler.
 """
 
 from __future__ import annotations
@@ -18,50 +18,50 @@ from ..errors import OutputError, ParameterError, RecordingError
 from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..recording.recording import MAX_BYTES
-from .job import Job, JobResult, fit_unit
+from .job import Job, JobResult, fit_job
 from .process_pool import RunningJob, Work, WorkerLost, one_thread
 
 __all__ = ["Cluster", "check_cluster"]
 
-PATIENCE = 10.0  # s, for the scheduler to answer
-AHEAD = 2  # units sent for every thread
-TOPIC = "pianofit-batch"  # of the events by which workers tell their stages
+TIMEOUT_S = 10.0  # s, for the scheduler to answer
+JOBS_PER_THREAD = 2  # jobs sent for every thread
+TOPIC = "pianofit-batch"  # of the events by which workers report their stages
 
 
 def check_cluster() -> None:
-    """Refuse where dask.distributed is not installed: `ParameterError`, saying what to install."""
+    """Raise `ParameterError`, naming the package to install, if dask.distributed is missing."""
     require_optional("distributed", "--scheduler", "cluster", ParameterError)
 
 
 class Cluster:
-    """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786, which do `work` with each unit.
+    """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786, which run `work` on each job.
 
-    Recordings are sent along if `by_value`; else workers read them at the same paths.
+    With `by_value`, recordings are sent with the job. Otherwise workers read them at the same paths.
 
-    Raises `ParameterError` if dask.distributed is missing, or there is no scheduler.
+    Raises `ParameterError` if dask.distributed is missing, or if no scheduler answers.
     """
 
-    def __init__(self, address: str, by_value: bool, work: Work = fit_unit) -> None:
+    def __init__(self, address: str, by_value: bool, work: Work = fit_job) -> None:
         check_cluster()
         from dask import config
         from distributed import Client
 
         self._by_value, self._work, self._address = by_value, work, printable(address)
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it would say is said here in one line
-        # Recordings sent along are part of the task: kept by the scheduler, they outlive any worker.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its errors are reported here, in one line
+        # Recordings are part of the task: the scheduler keeps them, so they survive the loss of a worker.
         config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
         reason = None
         try:
-            self._client = Client(address, timeout=PATIENCE, set_as_default=False, name="pianofit-batch")
+            self._client = Client(address, timeout=TIMEOUT_S, set_as_default=False, name="pianofit-batch")
         except (OSError, ValueError, TimeoutError) as error:
             reason = printable(error)[:100]
         if reason is not None:
-            gc.collect()  # ends what is left of the client; collected while a later one starts it would lock up both
+            gc.collect()  # ends the rest of the client now: collected while a later client starts, it would deadlock
             raise ParameterError(
                 f"--scheduler {self._address}: no scheduler answers there ({reason}); check the address"
             )
-        self._begun: dict = {}  # future -> (unit, when)
-        self._stage: dict[str, str] = {}  # by the unit's hash
+        self._begun: dict = {}  # future -> (job, start time, s)
+        self._stage: dict[str, str] = {}  # by hash of the job
         self._client.subscribe_topic(TOPIC, self._on_progress_event)
         self._ended: queue.Queue = queue.Queue()
         self._token = secrets.token_hex(4)
@@ -77,48 +77,47 @@ class Cluster:
         self._client.close(timeout=5)
 
     def _count(self) -> None:
-        """Count the cluster's threads, which come and go."""
+        """Count the threads of the cluster, whose number changes."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         self.slots = sum(w["nthreads"] for w in workers)
 
     def pending(self) -> int:
-        """Count the units that were sent and have not ended."""
+        """Number of jobs that were sent and have not ended."""
         return len(self._begun)
 
     def running(self) -> dict[str, RunningJob]:
-        """Keys at work, the seconds since each was sent, and its stage; those sent ahead are not counted."""
+        """Running keys with seconds since they were sent, and stage. Jobs sent ahead are not included."""
         now = time.monotonic()
         oldest = list(self._begun.values())[: self.slots]
-        return {unit.key: RunningJob(now - since, self._stage.get(unit.hash, "")) for unit, since in oldest}
+        return {job.key: RunningJob(now - since, self._stage.get(job.hash, "")) for job, since in oldest}
 
     def _on_progress_event(self, event) -> None:
-        """A worker's stage: (when, (hash of its unit, stage))."""
+        """Store the stage of a worker from an event (time, (hash of its job, stage))."""
         _, (digest, stage) = event
         self._stage[digest] = stage
 
     def has_capacity(self) -> bool:
-        """Tell whether another unit should be sent."""
-        return len(self._begun) < max(AHEAD * self.slots, 1)
+        """True if another job should be sent."""
+        return len(self._begun) < max(JOBS_PER_THREAD * self.slots, 1)
 
-    def submit(self, unit: Job) -> None:
-        """Send a unit.
+    def submit(self, job: Job) -> None:
+        """Send a job.
 
-        Raises `RecordingError` if a recording that is to be sent cannot be read; `OutputError` if the scheduler is
-        gone.
+        Raises `RecordingError` if a recording to be sent cannot be read, `OutputError` if the scheduler is gone.
         """
         if self._client.status != "running":
-            raise self._worker_lost()
+            raise self._scheduler_lost()
         contents = None
         if self._by_value:
-            contents = [read_file(s.path, MAX_BYTES, RecordingError) for s in unit.sources]
-        key = f"pianofit-{unit.key}-{unit.hash[:8]}-{self._token}-{len(self._begun)}-{time.monotonic_ns()}"
-        future = self._client.submit(on_worker, self._work, unit, contents, key=key, pure=False)
-        self._stage.pop(unit.hash, None)  # of an attempt before
-        self._begun[future] = unit, time.monotonic()
+            contents = [read_file(s.path, MAX_BYTES, RecordingError) for s in job.sources]
+        key = f"pianofit-{job.key}-{job.hash[:8]}-{self._token}-{len(self._begun)}-{time.monotonic_ns()}"
+        future = self._client.submit(on_worker, self._work, job, contents, key=key, pure=False)
+        self._stage.pop(job.hash, None)  # of an earlier attempt
+        self._begun[future] = job, time.monotonic()
         future.add_done_callback(self._ended.put)
 
     def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
-        """Units that ended, waiting up to `timeout` seconds for the first.
+        """Wait up to `timeout` seconds for a job to end, and return the jobs that ended.
 
         Raises `OutputError` if the scheduler is gone.
         """
@@ -127,48 +126,48 @@ class Cluster:
         except queue.Empty:
             future = None
         if self._client.status != "running" or (future is not None and future.status in ("cancelled", "lost")):
-            raise self._worker_lost()
+            raise self._scheduler_lost()
         self._count()
         if future is None:
             return []
-        unit, _ = self._begun[future]
+        job, _ = self._begun[future]
         try:
             outcome = self._result(future)
         finally:
             del self._begun[future]
-            self._stage.pop(unit.hash, None)
+            self._stage.pop(job.hash, None)
             future.release()
-        return [(unit, outcome)]
+        return [(job, outcome)]
 
     def _result(self, future) -> JobResult | WorkerLost:
         from distributed import CancelledError, KilledWorker
 
         try:
-            return future.result(timeout=60 * PATIENCE)
+            return future.result(timeout=60 * TIMEOUT_S)
         except KilledWorker:
-            return JobResult({}, "every worker that began it died, perhaps for want of memory; see the workers' logs")
+            return JobResult({}, "every worker that started it died, possibly of too little memory; see their logs")
         except (CancelledError, OSError, TimeoutError) as error:  # the connection, not the fit
             if self._client.status != "running" or isinstance(error, CancelledError):
-                raise self._worker_lost() from None
+                raise self._scheduler_lost() from None
             return WorkerLost(f"its result did not arrive ({printable(error)[:100]})")
         except Exception as error:
             reason = printable(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
             return JobResult({}, f"{reason}; install the same pianofit there", stop=True)
 
-    def _worker_lost(self) -> OutputError:
+    def _scheduler_lost(self) -> OutputError:
         return OutputError(
-            f"--scheduler {self._address}: the scheduler is gone; what is finished is kept: start one and run the same "
-            "command again"
+            f"--scheduler {self._address}: the scheduler is gone; finished keys are kept: start a scheduler and run "
+            "the same command again"
         )
 
 
-def on_worker(work: Work, unit: Job, contents: list[bytes] | None) -> JobResult:
-    """Run a unit on a worker of the cluster, in the worker's own scratch folder."""
+def on_worker(work: Work, job: Job, contents: list[bytes] | None) -> JobResult:
+    """Run a job on a worker of the cluster, in the scratch folder of that worker."""
     from distributed import get_worker
 
     worker = get_worker()
-    with one_thread():  # for what is imported only now
+    with one_thread():  # for libraries that are imported only now
         return work(
-            unit, contents, str(Path(worker.local_directory)),
-            lambda stage: worker.log_event(TOPIC, (unit.hash, stage)),
+            job, contents, str(Path(worker.local_directory)),
+            lambda stage: worker.log_event(TOPIC, (job.hash, stage)),
         )  # fmt: skip

@@ -1,8 +1,8 @@
-"""The pattern of file names, guessed from the names of a folder's recordings.
+"""Guess of a file-name pattern from the names of the recordings in a folder.
 
 A name is divided at its separators. The note is the part that is a note name, or a MIDI number, in most names. A part
-after the note that varies is a layer. A part before it is a layer if it consists of dynamics or numbers, and else
-belongs to the instrument. A number that follows from the note is ignored.
+after the note that varies is a layer. A part before the note is a layer if it consists of dynamics or numbers.
+Otherwise it belongs to the instrument. A number that follows from the note is ignored.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..analysis.pitch import check_pitch
 from ..conversions import hertz_of
 from ..errors import AnalysisError
 
-__all__ = ["guess_pattern", "numbers_off"]
+__all__ = ["guess_pattern", "midi_number_offset"]
 
 SEPARATOR = re.compile(r"((?:[^\w#♯♭]|_)+)")
 _NAME = r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?\d(?!\d)"
-# How a note stands in a part of a name: what is before it, the note, and what is after it.
+# Forms of a note in a part of a name. Groups: text before the note, the note, text after it.
 FORMS = {
     "name": re.compile(rf"()({_NAME})()"),
     "name at the begin": re.compile(rf"()({_NAME})(\D\w*)"),
@@ -29,9 +29,9 @@ FORMS = {
     "number at the end": re.compile(r"((?!(?:v|vel|velocity|vl|l|lay|layer|rr|take|t|mic)\d)[A-Za-z]+)(\d{1,3})()",
                                     re.ASCII | re.IGNORECASE),
 }  # fmt: skip
-# A number counts as the note only if it has so many times the values of any other number of the names, and note names
-# are preferred up to so many times fewer files: velocities and indices are numbers too.
-DISTINCT = 2
+# A number counts as the note only if it has at least this many times the values of any other number in the names:
+# velocities and indices are numbers too. Note names are preferred to numbers in up to this many times more files.
+MIN_VALUE_RATIO = 2
 DYNAMICS = re.compile(
     r"p{1,5}|f{1,5}|mp|mf|sfz|soft\w*|quiet\w*|med|medium|mid|mezzo\w*|forte|fortissimo|pianissimo|loud\w*|hard\w*|low|"
     r"high|light|heavy|normal", re.IGNORECASE,
@@ -46,9 +46,9 @@ MICROPHONES = re.compile(
 class Part(NamedTuple):
     """One part of all names of one shape."""
 
-    before: str  # the separator before it
-    values: tuple[str, ...]  # by name
-    folder: bool  # whether it belongs to a folder's name
+    before: str  # separator before the part
+    values: tuple[str, ...]  # one for each name
+    folder: bool  # True if the part belongs to the name of a folder
     after_note: bool
 
     @property
@@ -62,9 +62,9 @@ class Part(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Names of one shape, and where their note stands."""
+    """Names of one shape, and the position of their note."""
 
-    by_name: bool  # not by MIDI number
+    by_name: bool  # False if the note is a MIDI number
     notes: tuple[str, ...]
     names: tuple[str, ...]
     parts: tuple[Part, ...]  # in order, without the note
@@ -72,62 +72,64 @@ class Reading(NamedTuple):
 
     @property
     def distinct(self) -> int:
-        """The number of different notes."""
+        """Number of different notes."""
         return len({note_to_midi(note) for note in self.notes})
 
 
 def guess_pattern(names: Sequence[str], compiled: Callable[[str], re.Pattern[str]]) -> str | None:
-    """The pattern that reads most of these names, or None where the note's place is not clear.
+    """The pattern that matches most of these names, or None if the position of the note is not clear.
 
     Parameters
     ----------
-    names : paths from the folder, without endings.
-    compiled : makes the regular expression of a pattern.
+    names : paths relative to the folder, without endings.
+    compiled : returns the regular expression of a pattern.
     """
-    readings = [(one, patterns) for one in _in_order([*_readings(names)]) if (patterns := _valid(one, compiled))]
+    ordered = _by_likelihood([*_readings(names)])
+    readings = [(reading, patterns) for reading in ordered if (patterns := _valid(reading, compiled))]
     if not readings:
         return None
     likeliest = readings[0][0]
-    candidates = [pattern for one, patterns in readings if one.by_name == likeliest.by_name for pattern in patterns]
+    candidates = [pattern for reading, group in readings if reading.by_name == likeliest.by_name for pattern in group]
     consistent = [pattern for pattern in candidates if _reads(compiled(pattern), likeliest)]
-    return max(consistent, key=lambda one: sum(compiled(one).fullmatch(name) is not None for name in names))
+    return max(consistent, key=lambda pattern: sum(compiled(pattern).fullmatch(name) is not None for name in names))
 
 
 def _valid(reading: Reading, compiled: Callable[[str], re.Pattern[str]]) -> list[str]:
-    """Patterns that find the notes of a reading, the plainest first."""
+    """Patterns that find the notes of a reading, the simplest first."""
     roles = _roles(reading)
     patterns = [] if roles is None else _patterns(reading, roles)
     return [pattern for pattern in patterns if _reads(compiled(pattern), reading)]
 
 
-def numbers_off(names: Sequence[str]) -> int:
-    """By how many semitones MIDI numbers in the names lie above the note names; 0 where they agree or are missing."""
+def midi_number_offset(names: Sequence[str]) -> int:
+    """Semitones by which MIDI numbers in the names exceed the note names; 0 if they agree or are missing."""
     readings = [*_readings(names)]
-    for named in (one for one in readings if one.by_name):
-        for other in (one for one in readings if not one.by_name and {*one.names} >= {*named.names}):
-            numbers = dict(zip(other.names, other.notes, strict=True))
-            off = {int(numbers[x]) - note_to_midi(note) for x, note in zip(named.names, named.notes, strict=True)}
-            if len(off) == 1 and named.distinct > 1:
-                return off.pop()
+    for by_name in (r for r in readings if r.by_name):
+        for by_number in (r for r in readings if not r.by_name and {*r.names} >= {*by_name.names}):
+            numbers = dict(zip(by_number.names, by_number.notes, strict=True))
+            notes = zip(by_name.names, by_name.notes, strict=True)
+            offsets = {int(numbers[name]) - note_to_midi(note) for name, note in notes}
+            if len(offsets) == 1 and by_name.distinct > 1:
+                return offsets.pop()
     return 0
 
 
 def _readings(names: Sequence[str]) -> Iterator[Reading]:
-    """All places where notes can stand, each with the names that have one there."""
+    """All possible positions of the note, each with the names that have a note there."""
     shapes: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         shapes.setdefault(tuple(SEPARATOR.split(name)[1::2]), []).append(name)
     for separators, members in shapes.items():
-        for at in range(len(separators) + 1):
+        for index in range(len(separators) + 1):
             for form, expression in FORMS.items():
-                found = [(name, match) for name in members if (match := _note_at(name, at, expression))]
-                if found:
-                    yield _reading(form, at, separators, found)
+                matches = [(name, match) for name in members if (match := _note_at(name, index, expression))]
+                if matches:
+                    yield _reading(form, index, separators, matches)
 
 
-def _note_at(name: str, at: int, expression: re.Pattern[str]) -> re.Match[str] | None:
-    """The note in one part of a name, if a piano has it."""
-    match = expression.fullmatch(SEPARATOR.split(name)[2 * at])
+def _note_at(name: str, index: int, expression: re.Pattern[str]) -> re.Match[str] | None:
+    """The note in one part of a name, if a piano has that note."""
+    match = expression.fullmatch(SEPARATOR.split(name)[2 * index])
     try:
         if match:
             check_pitch(hertz_of(note_to_midi(match[2])), match[2])
@@ -136,38 +138,39 @@ def _note_at(name: str, at: int, expression: re.Pattern[str]) -> re.Match[str] |
     return match
 
 
-def _reading(form: str, at: int, separators: Sequence[str], found: list[tuple[str, re.Match[str]]]) -> Reading:
-    rows = [SEPARATOR.split(name)[::2] for name, _ in found]
-    before, after = (tuple(match[group] or "" for _, match in found) for group in (1, 3))
-    every = [*zip(["", *separators], zip(*rows, strict=True), strict=True)]
-    folders = [any("/" in later for later in separators[i:]) for i in range(len(every))]
-    parts = [Part(*one, folder, False) for one, folder in zip(every[:at], folders, strict=False)]
-    parts += [Part(every[at][0], before, folders[at], False)] * any(before)
-    parts += [Part("", after, folders[at], True)] * any(after)
-    parts += [Part(*one, folder, True) for one, folder in zip(every[at + 1 :], folders[at + 1 :], strict=True)]
+def _reading(form: str, index: int, separators: Sequence[str], matches: list[tuple[str, re.Match[str]]]) -> Reading:
+    rows = [SEPARATOR.split(name)[::2] for name, _ in matches]
+    before, after = (tuple(match[group] or "" for _, match in matches) for group in (1, 3))
+    columns = [*zip(["", *separators], zip(*rows, strict=True), strict=True)]
+    folders = [any("/" in later for later in separators[i:]) for i in range(len(columns))]
+    parts = [Part(*column, folder, False) for column, folder in zip(columns[:index], folders, strict=False)]
+    parts += [Part(columns[index][0], before, folders[index], False)] * any(before)
+    parts += [Part("", after, folders[index], True)] * any(after)
+    later = zip(columns[index + 1 :], folders[index + 1 :], strict=True)
+    parts += [Part(*column, folder, True) for column, folder in later]
     return Reading(
-        form.startswith("name"), tuple(match[2] for _, match in found), tuple(name for name, _ in found),
-        tuple(parts), "" if any(before) else every[at][0],
+        form.startswith("name"), tuple(match[2] for _, match in matches), tuple(name for name, _ in matches),
+        tuple(parts), "" if any(before) else columns[index][0],
     )  # fmt: skip
 
 
-def _in_order(readings: list[Reading]) -> list[Reading]:
-    """Readings from the most to the least likely; none where two are as likely and contradict each other."""
+def _by_likelihood(readings: list[Reading]) -> list[Reading]:
+    """Readings from the most to the least likely. Empty if two are equally likely and contradict each other."""
 
-    def size(one: Reading) -> tuple[int, int]:
-        return len(one.names) * (DISTINCT if one.by_name else 1), one.distinct
+    def size(reading: Reading) -> tuple[int, int]:
+        return len(reading.names) * (MIN_VALUE_RATIO if reading.by_name else 1), reading.distinct
 
     ordered = sorted(readings, key=size, reverse=True)
     if len(ordered) > 1:
         first, second = ordered[:2]
-        alike = (first.by_name, first.names) == (second.by_name, second.names) and not _agree(first, second)
-        if alike and first.distinct < DISTINCT * second.distinct:
+        conflict = (first.by_name, first.names) == (second.by_name, second.names) and not _agree(first, second)
+        if conflict and first.distinct < MIN_VALUE_RATIO * second.distinct:
             return []
     return ordered
 
 
-def _agree(one: Reading, other: Reading) -> bool:
-    return [*map(note_to_midi, one.notes)] == [*map(note_to_midi, other.notes)]
+def _agree(a: Reading, b: Reading) -> bool:
+    return [*map(note_to_midi, a.notes)] == [*map(note_to_midi, b.notes)]
 
 
 def _reads(expression: re.Pattern[str], reading: Reading) -> bool:
@@ -177,7 +180,7 @@ def _reads(expression: re.Pattern[str], reading: Reading) -> bool:
 
 
 def _roles(reading: Reading) -> list[str] | None:
-    """The field of each part, empty for literal text; None where a part has no field left for it."""
+    """The field of each part, empty for literal text. None if there are more parts than fields."""
     roles: list[str] = []
     free = ["layer", "take"]
     for part in reading.parts:
@@ -193,12 +196,12 @@ def _roles(reading: Reading) -> list[str] | None:
 
 
 def _role(part: Part, reading: Reading) -> str:
-    """The field of one part by itself."""
+    """The field of one part, without regard to the others."""
     if part.constant:
         if part.all_are(DYNAMICS) or (part.after_note and part.all_are(NUMBERED)):
             return "layer"
-        named = not (part.after_note or part.folder) and re.search(r"[^\W\d_]", part.values[0])
-        return "instrument" if named else ""
+        is_name = not (part.after_note or part.folder) and re.search(r"[^\W\d_]", part.values[0])
+        return "instrument" if is_name else ""
     if part.all_are(MICROPHONES):
         return "mic"
     if _follows(part, reading) and (not part.after_note or part.all_are(FORMS["name"])):
@@ -209,7 +212,7 @@ def _role(part: Part, reading: Reading) -> str:
 
 
 def _follows(part: Part, reading: Reading) -> bool:
-    """True if numbers follow from the note, or only count the files."""
+    """True if the numbers of a part follow from the note, or only count the files."""
     if not all(map(re.compile(r".*\d").match, part.values)):
         return False
     counts = len({*part.values}) == len(part.values) and any(p.after_note and not p.constant for p in reading.parts)
@@ -218,22 +221,22 @@ def _follows(part: Part, reading: Reading) -> bool:
 
 
 def _with_one_instrument(parts: Sequence[Part], roles: list[str]) -> list[str] | None:
-    """Roles with one run of parts as the instrument: that which varies, or the nearest to the note."""
+    """Roles with one run of parts as the instrument: the run that varies, or the run nearest to the note."""
     runs: list[list[int]] = []
-    for at in (i for i, role in enumerate(roles) if role == "instrument"):
-        if runs and runs[-1][-1] == at - 1 and "/" not in parts[at].before:
-            runs[-1].append(at)
+    for index in (i for i, role in enumerate(roles) if role == "instrument"):
+        if runs and runs[-1][-1] == index - 1 and "/" not in parts[index].before:
+            runs[-1].append(index)
         else:
-            runs.append([at])
-    varying = [run for run in runs if any(not parts[at].constant for at in run)]
+            runs.append([index])
+    varying = [run for run in runs if any(not parts[index].constant for index in run)]
     if len(varying) > 1:
         return None
     kept = (varying or runs[-1:] or [[]])[0]
-    return ["" if role == "instrument" and at not in kept else role for at, role in enumerate(roles)]
+    return ["" if role == "instrument" and index not in kept else role for index, role in enumerate(roles)]
 
 
 def _patterns(reading: Reading, roles: Sequence[str]) -> list[str]:
-    """The pattern of a reading, and the same with an end that may be missing."""
+    """The pattern of a reading, and the same pattern with an optional end."""
     pieces, last = [], ""
     for part, role in zip(reading.parts, roles, strict=True):
         if not role:
@@ -243,12 +246,12 @@ def _patterns(reading: Reading, roles: Sequence[str]) -> list[str]:
         else:
             pieces.append("")  # one field stands for the whole run
         last = role
-    where = sum(not part.after_note for part in reading.parts)
-    pieces.insert(where, _literal(reading.separator) + "{note}")
-    ends = range(where + 1, len(pieces))
-    return ["".join(pieces), *("".join([*pieces[:at], "[", *pieces[at:], "]"]) for at in ends)]
+    note_index = sum(not part.after_note for part in reading.parts)
+    pieces.insert(note_index, _literal(reading.separator) + "{note}")
+    ends = range(note_index + 1, len(pieces))
+    return ["".join(pieces), *("".join([*pieces[:end], "[", *pieces[end:], "]"]) for end in ends)]
 
 
 def _literal(text: str) -> str:
-    """Text as it stands in a pattern, where brackets have a meaning."""
+    """Literal text of a pattern. Text with brackets becomes `{*}`, because brackets have a meaning there."""
     return "{*}" if any(bracket in text for bracket in "[]{}") else text

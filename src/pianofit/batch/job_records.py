@@ -1,8 +1,8 @@
-"""The ledger: what no finished key's folder can prove, a small file for every key that is not done.
+"""The ledger: one small file for every key that is not done.
 
-A finished key is its folder (`store.py`). Of the others somebody has to remember which were asked for, what failed and
-why, and which are being fitted: `ledger/KEY.json` says so, written whole or not at all, and goes when the key is done.
-A file that cannot be read says nothing, and its key is fitted anew; so a lost ledger loses no result.
+A finished key is recorded by its folder (`store.py`). `ledger/KEY.json` records all other keys: requested, running, or
+failed with a reason. The file is written atomically and removed when the key is done. If it cannot be read, the key
+is fitted again. A lost ledger therefore loses no result.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["Entry", "read_records", "entry_of", "write_record"]
 
 
 class Entry(NamedTuple):
-    """What became of a key."""
+    """State of one key."""
 
     key: str
     note: str
@@ -33,20 +33,20 @@ class Entry(NamedTuple):
     seconds: float = 0.0  # of the fit
     memory: int = 0  # bytes
     stage: str = ""  # of the fit, while it is running
-    began: float = 0.0  # when, s since 1970, while it is running
+    began: float = 0.0  # start time, s since 1970, while it is running
 
     @property
     def why(self) -> str:
-        """Why it failed, with what its pitch suggests."""
-        told = not self.detected_note or self.detected_note in self.reason
-        return self.reason if told else f"{self.reason}; it sounds like {self.detected_note}"
+        """Reason of a failure, with the detected note."""
+        complete = not self.detected_note or self.detected_note in self.reason
+        return self.reason if complete else f"{self.reason}; it sounds like {self.detected_note}"
 
 
 def entry_of(store: Store, key: str, record: dict[str, Any] | None) -> Entry | None:
-    """What is known of a key whose folder has this record: it is done, unless something newer is wanted of it."""
-    kept = _kept(store, key)
-    if record is None or (kept is not None and kept.hash != record["hash"]):
-        return kept
+    """State of a key whose folder has this record. It is done, unless the ledger has a request with another hash."""
+    in_ledger = _ledger_entry(store, key)
+    if record is None or (in_ledger is not None and in_ledger.hash != record["hash"]):
+        return in_ledger
     return Entry(
         key, str(record.get("note", "")), record["hash"], "done", len(record.get("recordings", ())),
         left_out=tuple(record.get("left_out", ())), seconds=record.get("seconds", 0.0),
@@ -54,7 +54,7 @@ def entry_of(store: Store, key: str, record: dict[str, Any] | None) -> Entry | N
     )  # fmt: skip
 
 
-def _kept(store: Store, key: str) -> Entry | None:
+def _ledger_entry(store: Store, key: str) -> Entry | None:
     try:
         table = json.loads((store.ledger / f"{key}.json").read_bytes())
         entry = Entry(**table | {"left_out": tuple(table["left_out"])})
@@ -64,19 +64,19 @@ def _kept(store: Store, key: str) -> Entry | None:
 
 
 def read_records(store: Store) -> list[Entry]:
-    """Of all keys that were ever asked for in this folder, by name.
+    """States of all keys that were ever requested in this folder, in the order of their names.
 
-    Raises `OutputError` if it is no batch's.
+    Raises `OutputError` if the folder does not hold a batch.
     """
     if not store.ledger.is_dir() and not store.keys.is_dir():
         raise OutputError(f"{printable(store.folder)}: holds no batch; check the path")
     names = store.finished() | {file.stem for file in store.ledger.glob("*.json")}
-    found = (entry_of(store, key, store.read_record(key)) for key in sorted(names))
-    return [entry for entry in found if entry is not None]
+    entries = (entry_of(store, key, store.read_record(key)) for key in sorted(names))
+    return [entry for entry in entries if entry is not None]
 
 
 def write_record(store: Store, entry: Entry) -> None:
-    """Keep an entry in place of the key's last; that of a key that is done goes.
+    """Replace the ledger entry of a key, or remove it if the key is done.
 
     Raises `OutputError` if the disk is full or the folder cannot be written to.
     """

@@ -1,9 +1,9 @@
-"""The machine's own processes as workers: spawned, one thread each, watched one by one.
+"""Workers as processes of this machine: spawned, one thread each, monitored one by one.
 
-A worker that dies takes nothing with it but the unit it was at, and that is known: every worker has a pipe of its own.
-Memory is bounded three ways: the system refuses a worker more than its share (RLIMIT_DATA, on Linux), a worker is
-replaced after `RECYCLE` units, because JAX keeps every program it has compiled, and results wait in no queue. A worker
-that outlives its batch ends itself.
+Every worker has its own pipe. If a worker dies, only its current job is lost, and the batch knows which. Memory is
+bounded in three ways. The system limits each worker (RLIMIT_DATA, on Linux). A worker is replaced after
+`MAX_JOBS_PER_WORKER` jobs, because JAX keeps every compiled program. Results do not wait in a queue. A worker that
+outlives its batch ends itself.
 """
 
 from __future__ import annotations
@@ -22,51 +22,56 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .job import Job, JobResult, fit_unit
+from .job import Job, JobResult, fit_job
 
 __all__ = ["RunningJob", "Local", "WorkerLost", "Work"]
 
-RECYCLE = 16  # units
-# One thread for each library that would take all cores; read when it is first imported.
+MAX_JOBS_PER_WORKER = 16  # jobs
+# One thread for each library that would use all cores. They read these when they are first imported.
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
 )
 XLA_FLAG = "--xla_cpu_multi_thread_eigen=false"
 
-# Of a unit, its recordings' bytes, a scratch folder, and a function that is told the stages.
+# Arguments: a job, the bytes of its recordings, a scratch folder, and a function that receives each stage.
 Work = Callable[[Job, list[bytes] | None, str | None, Callable[[str], None]], JobResult]
 
 
 class WorkerLost(NamedTuple):
-    """A unit whose worker is gone."""
+    """A job whose worker died."""
 
     reason: str
 
 
 class RunningJob(NamedTuple):
-    """A unit that is being fitted."""
+    """A job that is being fitted."""
 
-    seconds: float  # since it began
-    stage: str  # what is done of it now; empty if that is not known
+    seconds: float  # since it started
+    stage: str  # of the fit; empty if unknown
 
 
 @dataclass
 class _Worker:
     process: Any
     pipe: connection.Connection
-    unit: Job | None = None
+    job: Job | None = None
     since: float = 0.0
     stage: str = ""
     served: int = 0
 
 
 class Local:
-    """So many workers on this machine, which do `work` with each unit, and have `scratch` for temporary files.
+    """Processes on this machine that run `work` on each job.
 
-    Each may take so much `memory`, bytes, and a unit so much time, s.
+    Parameters
+    ----------
+    workers : number of processes.
+    memory : limit for each process, bytes.
+    time_limit : limit for each job, s.
+    scratch : folder for temporary files.
     """
 
-    def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_unit) -> None:
+    def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_job) -> None:
         self.slots, self._memory, self._limit, self._work = workers, memory, time_limit, work
         scratch.mkdir(exist_ok=True)
         self._scratch = scratch
@@ -85,61 +90,61 @@ class Local:
         shutil.rmtree(self._scratch, ignore_errors=True)
 
     def pending(self) -> int:
-        """Count the units that were begun and have not ended."""
-        return sum(w.unit is not None for w in self._workers)
+        """Number of jobs that were started and have not ended."""
+        return sum(w.job is not None for w in self._workers)
 
     def running(self) -> dict[str, RunningJob]:
-        """Keys at work, the seconds each has taken, and its stage."""
+        """Running keys with seconds since their start, and stage."""
         now = time.monotonic()
-        return {w.unit.key: RunningJob(now - w.since, w.stage) for w in self._workers if w.unit is not None}
+        return {w.job.key: RunningJob(now - w.since, w.stage) for w in self._workers if w.job is not None}
 
     def has_capacity(self) -> bool:
-        """Tell whether another unit can be begun."""
+        """True if another job can be started."""
         return self.pending() < self.slots
 
-    def submit(self, unit: Job) -> None:
-        """Begin a unit on a worker that is free, or on a new one."""
-        worker = next((w for w in self._workers if w.unit is None), None) or self._start()
-        worker.unit, worker.since, worker.stage = unit, time.monotonic(), ""
-        with contextlib.suppress(OSError):  # a worker that is gone is found by its end
-            worker.pipe.send((unit, None, str(self._scratch)))
+    def submit(self, job: Job) -> None:
+        """Start a job on a free worker, or on a new one."""
+        worker = next((w for w in self._workers if w.job is None), None) or self._start()
+        worker.job, worker.since, worker.stage = job, time.monotonic(), ""
+        with contextlib.suppress(OSError):  # a dead worker is detected by its sentinel
+            worker.pipe.send((job, None, str(self._scratch)))
 
     def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
-        """Units that ended, waiting up to `timeout` seconds for the first."""
-        busy = [w for w in self._workers if w.unit is not None]
+        """Wait up to `timeout` seconds for a job to end, and return the jobs that ended."""
+        busy = [w for w in self._workers if w.job is not None]
         ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
-        found = []
+        ended = []
         for worker in busy:
-            unit, outcome = worker.unit, None
+            job, outcome = worker.job, None
             if worker.pipe in ready or worker.process.sentinel in ready:
-                outcome = self._collect(worker, gone=worker.process.sentinel in ready)
+                outcome = self._collect(worker, dead=worker.process.sentinel in ready)
             if outcome is None and time.monotonic() - worker.since > self._limit:
                 self._retire(worker, 0.0)
-                reason = f"took more than {self._limit:g} s and was stopped; give --time-limit more if it may"
+                reason = f"took more than {self._limit:g} s and was stopped; increase --time-limit"
                 outcome = JobResult({}, reason, seconds=self._limit)
-            if unit is not None and outcome is not None:
-                worker.unit = None
-                found.append((unit, outcome))
-        return found
+            if job is not None and outcome is not None:
+                worker.job = None
+                ended.append((job, outcome))
+        return ended
 
-    def _collect(self, worker: _Worker, gone: bool) -> JobResult | WorkerLost | None:
-        """What a worker has said: the end of its unit, or None where that goes on and only a stage was told."""
+    def _collect(self, worker: _Worker, dead: bool) -> JobResult | WorkerLost | None:
+        """Result of the job of a worker, or None while the job goes on. Stages are stored on the way."""
         try:
             while worker.pipe.poll():
-                said = worker.pipe.recv()
-                if isinstance(said, JobResult):
+                message = worker.pipe.recv()
+                if isinstance(message, JobResult):
                     worker.served += 1
-                    if worker.served >= RECYCLE:
+                    if worker.served >= MAX_JOBS_PER_WORKER:
                         self._retire(worker)
-                    return said
-                worker.stage = said
+                    return message
+                worker.stage = message
         except (EOFError, OSError):
-            gone = True
-        return WorkerLost(self._retire(worker)) if gone else None
+            dead = True
+        return WorkerLost(self._retire(worker)) if dead else None
 
     def _retire(self, worker: _Worker, patience: float = 5.0) -> str:
-        """Take a worker away and say how it ended."""
-        worker.pipe.close()  # one that waits for work ends at this
+        """Remove a worker and return how it ended."""
+        worker.pipe.close()  # a worker that waits for a job ends at this
         worker.process.join(patience)
         worker.process.kill()
         worker.process.join()
@@ -148,8 +153,8 @@ class Local:
         if code >= 0:
             return f"its worker ended with exit code {code}"
         name = signal.Signals(-code).name if -code in signal.valid_signals() else f"signal {-code}"
-        share = f"{self._memory / 2**30:g} GiB"
-        return f"its worker was ended by {name}, perhaps for want of memory (each may take {share})"
+        limit = f"{self._memory / 2**30:g} GiB"
+        return f"its worker was ended by {name}, possibly of too little memory (limit {limit} each)"
 
     def _start(self) -> _Worker:
         ours, theirs = self._context.Pipe()
@@ -163,7 +168,7 @@ class Local:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """For processes started meanwhile: one thread for numbers."""
+    """Give processes started in this context one thread for numerical libraries."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} {XLA_FLAG}".strip()
     before = {name: os.environ.get(name) for name in (*ONE_THREAD, "XLA_FLAGS", "JAX_PLATFORMS")}
     os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
@@ -178,21 +183,21 @@ def one_thread() -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection, work: Work, memory: int) -> None:
-    """A worker's life: units in, outcomes out, until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the batch's, which ends its workers
+    """Run jobs from the pipe until it closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the batch handles Ctrl-C and ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if sys.platform == "linux":
         import resource
 
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-        share = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
-        resource.setrlimit(resource.RLIMIT_DATA, (share, hard))
+        limit = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     while True:
         try:
-            unit, contents, scratch = pipe.recv()
+            job, contents, scratch = pipe.recv()
         except EOFError:
             return
-        pipe.send(work(unit, contents, scratch, pipe.send))
+        pipe.send(work(job, contents, scratch, pipe.send))
 
 
 def _end_with_parent() -> None:

@@ -1,4 +1,4 @@
-"""Names of the SFZ opcodes, to recognise those that no version of the format defines: typing errors and old dialects.
+"""Names of the SFZ opcodes, to detect typing errors and names of old players.
 
 Names are compared without their numbers and without the suffix of a modulation, such as `_oncc74`. The list follows
 the tables of SFZ 1, SFZ 2 and ARIA at https://sfzformat.com/opcodes.
@@ -10,22 +10,22 @@ import difflib
 import re
 from collections.abc import Iterable
 
-__all__ = ["not_of_today"]
+__all__ = ["unrecognised_opcodes"]
 
 # Opcodes that decide which sample belongs to which key. A name near one of them is probably a typing error.
-READ = (
+KEY_OPCODES = (
     "sample", "default_path", "note_offset", "octave_offset", "key", "lokey", "hikey", "pitch_keycenter",
     "pitch_keytrack", "lovel", "hivel", "trigger", "end",
 )  # fmt: skip
-# Names of early players by those of today; a trailing number is kept.
-OLDER = {
+# Current names by the names of early players; a trailing number is kept.
+CURRENT_NAMES = {
     "loopmode": "loop_mode", "loopstart": "loop_start", "loopend": "loop_end", "offby": "off_by", "bendup": "bend_up",
     "benddown": "bend_down", "bendstep": "bend_step", "filtype": "fil_type", "start_locc": "on_locc",
     "start_hicc": "on_hicc", "gain_cc": "volume_oncc",
 }  # fmt: skip
-NEAR = 0.85  # similarity of two names by difflib, from which on one is suggested for the other
-# Any name with one of these beginnings is defined: envelopes, LFOs, equalisers, switches, crossfades, labels.
-FAMILIES = (
+MIN_SIMILARITY = 0.85  # similarity of two names by difflib, above which one is suggested for the other
+# Every name with one of these prefixes is defined: envelopes, LFOs, equalisers, switches, crossfades, labels.
+PREFIXES = (
     "ampeg_", "fileg_", "pitcheg_", "amplfo_", "fillfo_", "pitchlfo_", "eg_", "lfo_", "eq_", "fil_", "sw_", "seq_",
     "xfin_", "xfout_", "xf_", "loop", "delay", "offset", "sustain_", "sostenuto_", "effect", "fx_", "param_", "label_",
     "set_", "hint_", "global_", "master_", "group_", "region_", "reverb_", "comp_", "gate_", "disto_", "decim_",
@@ -34,7 +34,7 @@ FAMILIES = (
     "curve_", "amp_", "rt_", "smoothing", "bus", "directtomain", "cc_", "vendor_", "width", "position",
     "fx", "reverse_",
 )  # fmt: skip
-OTHERS = (
+OTHER_OPCODES = (
     "label", "set",
     "amplitude", "amplitude_smooth", "volume", "gain", "pan", "pan_law", "pan_keycenter", "pan_keytrack",
     "pan_veltrack", "phase", "invert_phase", "direction", "count", "sync_beats", "sync_offset", "group", "off",
@@ -49,38 +49,38 @@ OTHERS = (
 _MODULATION = re.compile(r"_?(?:on|curve|smooth|step)?_?(?:hd)?cc\d+$")
 
 
-def not_of_today(names: Iterable[str]) -> list[str]:
-    """Older names, and names that no version of SFZ defines, in alphabetical order, each with today's or a likely one.
+def unrecognised_opcodes(names: Iterable[str]) -> list[str]:
+    """Older and undefined names in alphabetical order, each with its current or likely intended name.
 
     Examples
     --------
-    >>> from pianofit.batch.sfz_opcodes import not_of_today
-    >>> not_of_today(["sample", "pitch_keycentre", "eg06_time2", "loopmode", "frobnicate"])
+    >>> from pianofit.batch.sfz_opcodes import unrecognised_opcodes
+    >>> unrecognised_opcodes(["sample", "pitch_keycentre", "eg06_time2", "loopmode", "frobnicate"])
     ['frobnicate', 'loopmode (today loop_mode)', 'pitch_keycentre (did you mean pitch_keycenter?)']
     """
-    return [found for name in sorted(set(names)) if (found := _older(name) or _unknown(name))]
+    return [text for name in sorted(set(names)) if (text := _with_current_name(name) or _undefined(name))]
 
 
-def _older(name: str) -> str:
-    """An older name with today's; empty for other names."""
+def _with_current_name(name: str) -> str:
+    """An older name with its current name; empty for other names."""
     stem = name.rstrip("0123456789")
-    return f"{name} (today {OLDER[stem]}{name[len(stem) :]})" if stem in OLDER else ""
+    return f"{name} (today {CURRENT_NAMES[stem]}{name[len(stem) :]})" if stem in CURRENT_NAMES else ""
 
 
-def _unknown(name: str) -> str:
-    """A name that is not defined, with the likely intended one; empty for a name that is."""
+def _undefined(name: str) -> str:
+    """An undefined name with the likely intended one; empty for a defined name."""
     return "" if _defined(name) else _with_suggestion(name)
 
 
 def _defined(name: str) -> bool:
-    if name in READ:
+    if name in KEY_OPCODES:
         return True
-    if difflib.get_close_matches(name, ("sample", "pitch_keycenter", "default_path"), 1, NEAR):
+    if difflib.get_close_matches(name, ("sample", "pitch_keycenter", "default_path"), 1, MIN_SIMILARITY):
         return False
     bare = re.sub(r"\d+", "", _MODULATION.sub("", name))
-    return bare in OTHERS or bare in READ or bare.startswith(FAMILIES)
+    return bare in OTHER_OPCODES or bare in KEY_OPCODES or bare.startswith(PREFIXES)
 
 
 def _with_suggestion(name: str) -> str:
-    near = difflib.get_close_matches(name, READ, 1, NEAR)
+    near = difflib.get_close_matches(name, KEY_OPCODES, 1, MIN_SIMILARITY)
     return f"{name} (did you mean {near[0]}?)" if near else name

@@ -1,7 +1,7 @@
-"""The text of an SFZ file as regions: comments, `#include`, `#define`, headers and inherited opcodes resolved.
+"""Regions of an SFZ file. Comments, `#include`, `#define`, headers and inherited opcodes are resolved.
 
-A file that stands on the stack of open includes would include itself for ever, because SFZ has no conditions; it is
-refused. Any other number of includes is legitimate, and only the length of the expanded text is limited.
+SFZ has no conditions, so a file that includes itself would never end. Such a file is rejected. Every other number of
+includes is allowed, and only the length of the expanded text is limited.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from .paths import find_file
 __all__ = ["SfzText", "regions"]
 
 MAX_BYTES = 2**24  # of one file: the largest libraries have 2 MiB
-MAX_TEXT = 2**24  # letters of the expanded text, one more for each piece; bounds time and memory
-INCLUDE = 200  # letters that one include counts as, for its time
-MAX_DEPTH = 50  # of includes in one another: libraries use 2 or 3, Python's stack ends near 300
+MAX_TEXT = 2**24  # characters of the expanded text, plus one for each piece; bounds time and memory
+INCLUDE_COST = 200  # characters that one include counts as, for its time
+MAX_DEPTH = 50  # of nested includes: libraries use 2 or 3, and the stack of Python ends near 300
 LEVELS = ("control", "global", "master", "group", "region")
 _COMMENT = re.compile(r"//[^\r\n]*|/\*.*?\*/", re.DOTALL)
 _DIRECTIVE = re.compile(
@@ -34,7 +34,7 @@ class SfzText:
 
     Parameters
     ----------
-    source : the SFZ file; included files are relative to its folder, or else to the folder of the including file.
+    source : the SFZ file. Included files are relative to its folder, or else to the folder of the including file.
     root : the folder that included files must lie in.
     """
 
@@ -48,7 +48,7 @@ class SfzText:
         self._left = MAX_TEXT
 
     def pieces(self) -> Iterator[str]:
-        """Lines, or parts of lines around a directive, with included text in its place and variables replaced."""
+        """Lines, or parts of lines around a directive. Includes and variables are replaced by their text."""
         yield from self._pieces(self.source, ())
 
     def _pieces(self, file: Path, stack: tuple[Path, ...]) -> Iterator[str]:
@@ -56,20 +56,20 @@ class SfzText:
         if len(stack) > MAX_DEPTH:
             raise SetupError(f"{printable(file)}: more than {MAX_DEPTH} files include one another; put them into one")
         for line in self._text(file).splitlines():
-            at = 0
+            start = 0
             for match in _DIRECTIVE.finditer(line):
-                yield self._expanded(line[at : match.start()])
-                at = match.end()
+                yield self._expanded(line[start : match.start()])
+                start = match.end()
                 quoted, bare, word, value = match.groups()
                 if word:
                     self._define(word, self._expanded(value or ""))
                 else:
                     included = self._included(self._expanded(quoted or bare), file, stack)
                     yield from self._pieces(included, stack)
-            yield self._expanded(line[at:])
+            yield self._expanded(line[start:])
 
     def _text(self, file: Path) -> str:
-        """The text of a file without comments; a byte that is not UTF-8 makes all of it Windows-1252."""
+        """Text of a file without comments. If it is not valid UTF-8, all of it is read as Windows-1252."""
         if file in self._texts:
             return self._texts[file]
         data = read_file(file, MAX_BYTES, SetupError)
@@ -94,7 +94,7 @@ class SfzText:
         self._defined[word] = value
 
     def _expanded(self, text: str) -> str:
-        """Text with variables replaced, counted against `MAX_TEXT`."""
+        """Text with variables replaced. Its length counts towards `MAX_TEXT`."""
 
         def value(match: re.Match[str]) -> str:
             self._count(len(self._defined[match[0]]))
@@ -103,24 +103,24 @@ class SfzText:
         self._count(len(text) + 1)
         return self._words.sub(value, text) if "$" in text else text
 
-    def _count(self, letters: int) -> None:
-        self._left -= letters
+    def _count(self, characters: int) -> None:
+        self._left -= characters
         if self._left < 0:
             raise SetupError(f"{printable(self.source)}: its includes and variables expand to more than "
                              f"{MAX_TEXT // 2**20} MiB of text; split the library")  # fmt: skip
 
     def _included(self, name: str, file: Path, stack: tuple[Path, ...]) -> Path:
-        """The included file, inside the root and not open already."""
-        self._count(INCLUDE)
-        included = self._files.get((name, file)) or self._files.setdefault((name, file), self._found(name, file))
+        """Path of an included file. It must lie inside the root and must not be open already."""
+        self._count(INCLUDE_COST)
+        included = self._files.get((name, file)) or self._files.setdefault((name, file), self._find(name, file))
         if included in stack:
             raise SetupError(
                 f"{printable(file)}: includes {printable(name)}, which includes itself; remove one #include"
             )
         return included
 
-    def _found(self, name: str, file: Path) -> Path:
-        """What `file` includes: seen from the library's folder, or else from that of `file`."""
+    def _find(self, name: str, file: Path) -> Path:
+        """Path of the file `name` in the folder of the library, or else in the folder of `file`."""
         folders = dict.fromkeys((self.source.parent, file.parent))
         problems = []
         for folder in folders:
@@ -132,7 +132,7 @@ class SfzText:
 
 
 def regions(text: SfzText) -> Iterator[dict[str, str]]:
-    """Opcodes of every region, with those of the headers above it."""
+    """Opcodes of every region, including inherited ones."""
     levels: dict[str, dict[str, str]] = {level: {} for level in LEVELS}
     current = "control"
     for header, opcode, value in _tokens(text):
@@ -150,7 +150,7 @@ def regions(text: SfzText) -> Iterator[dict[str, str]]:
 
 
 def _merged(levels: dict[str, dict[str, str]]) -> dict[str, str]:
-    """A region's opcodes; `key` stands for `lokey`, `hikey` and `pitch_keycenter` and replaces inherited ones."""
+    """Opcodes of a region. `key` sets `lokey`, `hikey` and `pitch_keycenter`, and replaces inherited values."""
     merged: dict[str, str] = {}
     for level in LEVELS:
         own = levels[level]
@@ -162,10 +162,10 @@ def _merged(levels: dict[str, dict[str, str]]) -> dict[str, str]:
 
 
 def _tokens(text: SfzText) -> Iterator[tuple[str, str, str]]:
-    """Headers and opcodes in order: (header, "", "") or ("", opcode, value); a value may hold spaces."""
+    """Headers and opcodes in order: (header, "", "") or ("", opcode, value). A value may contain spaces."""
     for piece in text.pieces():
-        found = [*_TOKEN.finditer(piece)]
-        ends = [*(match.start() for match in found[1:]), len(piece)]
-        for match, end in zip(found, ends, strict=False):
+        matches = [*_TOKEN.finditer(piece)]
+        ends = [*(match.start() for match in matches[1:]), len(piece)]
+        for match, end in zip(matches, ends, strict=False):
             header, opcode = (match[1] or "").lower(), (match[2] or "").lower()
             yield header, opcode, "" if header else piece[match.end() : end].strip()

@@ -1,4 +1,4 @@
-"""How far a batch is, as folders and ledger say it: also from outside, while it is at work."""
+"""State of a batch, read from its folders and ledger. Other processes can read it while the batch runs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["document", "status", "suggestions", "time_left"]
 
 
 def status(folder: Path) -> dict[str, Any]:
-    """What folders and ledger in `folder` say; whether a batch is at work there, and for how long still.
+    """States of all keys in `folder`, whether a batch runs there, and its remaining time.
 
-    Raises `OutputError` if it is no batch's.
+    Raises `OutputError` if the folder does not hold a batch.
     """
     entries, at_work = read_records(Store(folder)), is_locked(folder)
-    if not at_work:  # what a killed batch was at is not running any more
+    if not at_work:  # keys that a killed batch was fitting are not running any more
         entries = [e._replace(state="waiting", stage="", began=0.0) if e.state == "running" else e for e in entries]
-    return document(folder, entries) | {"at_work": at_work, "seconds_left": _left(entries)}
+    return document(folder, entries) | {"at_work": at_work, "seconds_left": _seconds_left(entries)}
 
 
 def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
-    """What is told of a batch with these entries."""
+    """Summary of a batch with these entries."""
     count = Counter(e.state for e in entries)
     seconds = [e.seconds for e in entries if e.state == "done"]
     return {
@@ -41,29 +41,35 @@ def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
     }
 
 
-def _left(entries: Sequence[Entry]) -> float | None:
-    """Seconds left, if keys go on being fitted by as many workers as are running."""
+def _seconds_left(entries: Sequence[Entry]) -> float | None:
+    """Remaining time, s, if the number of running workers stays the same."""
     running = [max(time.time() - e.began, 0.0) for e in entries if e.state == "running"]
     done = [e.seconds for e in entries if e.state == "done" and e.seconds]
     return time_left(done, sum(e.state == "waiting" for e in entries), running, len(running))
 
 
 def time_left(seconds: Sequence[float], waiting: int, running: Sequence[float], slots: int) -> float | None:
-    """Seconds until all is done: the median of finished units for each that waits, shared among the workers.
+    """Estimated remaining time of a batch, s. None before the first job is done, or without workers.
 
-    `seconds` are of the units that are done, `running` what each at work has taken so far. Such a unit is given what
-    it lacks of the median, and never less than a quarter of what it has taken: one that is over its time is not about
-    to end.
+    A waiting job takes the median time of the finished jobs. A running job takes the rest of that median, but at least
+    a quarter of its elapsed time. A job past the median is not about to end.
+
+    Parameters
+    ----------
+    seconds : times of the finished jobs.
+    waiting : number of waiting jobs.
+    running : elapsed times of the running jobs, s.
+    slots : number of workers.
     """
     if not seconds or not slots:
         return None
-    each = statistics.median(seconds)
-    rest = [max(each - r, r / 4) for r in running]
-    return max((waiting * each + sum(rest)) / slots, max(rest, default=0.0))
+    median = statistics.median(seconds)
+    remaining = [max(median - elapsed, elapsed / 4) for elapsed in running]
+    return max((waiting * median + sum(remaining)) / slots, max(remaining, default=0.0))
 
 
 def suggestions(entries: Sequence[Entry]) -> list[str]:
-    """What the pitches say about the names of the notes."""
+    """Corrections of note names that the detected pitches suggest."""
     from ..analysis.note_names import note_to_midi
 
     wrong = [e for e in entries if e.detected_note]
@@ -74,7 +80,7 @@ def suggestions(entries: Sequence[Entry]) -> list[str]:
     if times > 2 and 2 * times > len(entries):
         return [
             f"{times} of {len(entries)} keys sound {counted(abs(semitones), 'semitone')} "
-            f"{'above' if semitones > 0 else 'below'} their names: the library counts otherwise; run with "
+            f"{'above' if semitones > 0 else 'below'} their names: the library numbers octaves differently; run with "
             f"--transpose {semitones} and another --out"
         ]
     return [f"{e.key}: its name says {e.note}, its pitch {e.detected_note}; correct its note" for e in wrong]

@@ -1,8 +1,8 @@
-"""The folder of a batch: `keys/KEY/` for every finished key, `ledger/` for all else, and nothing half-written.
+"""The folder of a batch: `keys/KEY/` for every finished key, and `ledger/` for everything else.
 
-A key's folder is written in another place, flushed to the disk, and renamed: it is there whole or not at all. Its
-`record.json` holds the hash of the unit it is the result of and the digest of every file, so that a folder proves by
-itself that it is finished; the ledger can be lost and nothing is.
+The folder of a key is written elsewhere, flushed to the disk, and renamed. It is therefore complete or missing. Its
+`record.json` holds the hash of its job and the digest of every file. A folder thus proves that it is finished, and no
+result is lost with the ledger.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from ..io.files import DISK_FULL, printable
 __all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "open_folder", "write_error"]
 
 LEDGER, KEYS, RECORD = "ledger", "keys", "record.json"
-LOCK = "lock"  # in the ledger's folder, as are these, of the workers and of this process, which are gone after a run
-SCRATCH, UNFINISHED = "scratch", "unfinished"
+# All three lie in the folder of the ledger. The last two, of the workers and of this process, exist only during a run.
+LOCK, SCRATCH, UNFINISHED = "lock", "scratch", "unfinished"
 
 
 class Store:
-    """The keys' folders under `folder`."""
+    """Folders of the keys, and the ledger, in `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -39,16 +39,16 @@ class Store:
         self._unfinished = self.ledger / UNFINISHED
 
     def remove_partial(self) -> None:
-        """Take away what an interrupted run left unfinished."""
-        for left in (self.scratch, self._unfinished):
-            shutil.rmtree(left, ignore_errors=True)
+        """Remove unfinished files of an interrupted run."""
+        for partial in (self.scratch, self._unfinished):
+            shutil.rmtree(partial, ignore_errors=True)
         for file in self.ledger.glob(".*.tmp"):
             file.unlink(missing_ok=True)
 
     def commit(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
-        """Make `files` and their record the folder of `key`, in one step.
+        """Write `files` and their record as the folder of `key`, in one step.
 
-        Raises `OutputError` if they cannot be written; nothing is left behind.
+        Raises `OutputError` if they cannot be written. Partial files are removed.
         """
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         content = json.dumps(record | {"files": digests}, indent=2).encode() + b"\n"
@@ -71,7 +71,7 @@ class Store:
             shutil.rmtree(self._unfinished, ignore_errors=True)
 
     def read_record(self, key: str) -> dict[str, Any] | None:
-        """The record of a finished key, as its folder says it; None if there is none."""
+        """Record in the folder of a key, without a check of the files. None if it is missing or damaged."""
         try:
             record = json.loads((self.keys / key / RECORD).read_bytes())
             return record if isinstance(record["hash"], str) and isinstance(record["files"], dict) else None
@@ -79,7 +79,7 @@ class Store:
             return None
 
     def content(self, key: str, name: str) -> bytes | None:
-        """A file of a finished key; None if it is missing or not what the record says."""
+        """Content of a file of a finished key. None if it is missing or its digest differs from the record."""
         record = self.read_record(key) or {"files": {}}
         with contextlib.suppress(OSError):
             data = (self.keys / key / Path(name).name).read_bytes()
@@ -87,42 +87,42 @@ class Store:
         return None
 
     def record(self, key: str) -> dict[str, Any] | None:
-        """The record of a finished key; None if its folder is missing or is not what its record says."""
+        """Record of a finished key. None if its folder is missing, or a file differs from the record."""
         record = self.read_record(key)
-        whole = record is not None and all(self.content(key, name) is not None for name in record["files"])
-        return record if whole else None
+        complete = record is not None and all(self.content(key, name) is not None for name in record["files"])
+        return record if complete else None
 
     def finished(self) -> set[str]:
-        """Names of the folders that are there."""
+        """Names of the keys that have a folder with a record."""
         return {p.name for p in self.keys.iterdir() if (p / RECORD).is_file()}
 
 
 def _flush(folder: Path) -> None:
-    """Bring a folder's entries to the disk, where the system can."""
-    with contextlib.suppress(PermissionError):  # Windows opens no folders
+    """Flush the entries of a folder to the disk, if the system supports that."""
+    with contextlib.suppress(PermissionError):  # Windows cannot open folders
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
         except OSError as error:
-            if error.errno != errno.EINVAL:  # a file system without
+            if error.errno != errno.EINVAL:  # a file system without fsync of folders
                 raise
         finally:
             os.close(handle)
 
 
 def write_error(folder: Path, error: Exception) -> OutputError:
-    """What to tell of a folder that does not let itself be written."""
+    """Error for a folder that cannot be written to."""
     name, full = printable(folder), "full" in str(error)
     if full or getattr(error, "errno", None) in DISK_FULL:
-        return OutputError(f"{name}: the disk is full; what is finished is kept: make room and run the same command")
+        return OutputError(f"{name}: the disk is full; finished keys are kept: make room and run the same command")
     reason = getattr(error, "strerror", None) or error
-    return OutputError(f"{name}: cannot be written to ({reason}); choose a folder that is yours, then run it again")
+    return OutputError(f"{name}: cannot be written to ({reason}); choose another folder, then run the command again")
 
 
 def open_folder(folder: Path) -> Store:
-    """The folder of a new batch or of one to be continued, made if need be.
+    """Open the folder of a batch, and create it if it does not exist.
 
-    Raises `OutputError` if it cannot be made or written to, or holds something else than a batch.
+    Raises `OutputError` if it cannot be created or written to, or holds something other than a batch.
     """
     name = printable(folder)
     if folder.exists() and not folder.is_dir():
@@ -134,7 +134,7 @@ def open_folder(folder: Path) -> Store:
         for place in (folder / KEYS, folder / LEDGER):
             place.mkdir(parents=True, exist_ok=True)
             if not os.access(place, os.W_OK | os.X_OK):
-                raise PermissionError(errno.EACCES, "it is read-only, or another's")
+                raise PermissionError(errno.EACCES, "read-only, or owned by another user")
     except OSError as error:
         raise write_error(folder, error) from error
     return Store(folder)
@@ -142,9 +142,9 @@ def open_folder(folder: Path) -> Store:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder for one batch. The lock is SQLite's on an empty file: the system frees it with the process.
+    """Lock the folder for one batch, by an SQLite lock on an empty file. The system releases it with the process.
 
-    Raises `OutputError` if another batch holds it.
+    Raises `OutputError` if another batch holds the lock.
     """
     lock = folder / LEDGER / LOCK
     lock.parent.mkdir(exist_ok=True)
@@ -155,7 +155,7 @@ def locked(folder: Path) -> Iterator[None]:
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise OutputError(
-                    f"{printable(folder)}: another batch is at work in this folder; wait for it, or give another --out"
+                    f"{printable(folder)}: another batch is running in this folder; wait for it, or give another --out"
                 ) from None
             raise write_error(folder, error) from error
         except sqlite3.DatabaseError as error:
@@ -166,7 +166,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def is_locked(folder: Path) -> bool:
-    """Tell whether a batch is at work in `folder`."""
+    """True if a batch is running in `folder`."""
     lock = folder / LEDGER / LOCK
     if not lock.exists():
         return False

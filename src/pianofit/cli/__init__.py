@@ -1,4 +1,4 @@
-"""The command line: one file a group of commands."""
+"""Command line: one module for each group of commands."""
 
 from .program import app, main, run
 

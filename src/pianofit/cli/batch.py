@@ -1,7 +1,7 @@
-"""`pianofit batch` and `pianofit status`: a whole sample library, and how far it is.
+"""Commands for a sample library: `batch` fits all its keys, `status` shows the progress.
 
-Exit codes: 0 all keys are done, 1 the batch could not run or had to stop, 2 a command that cannot be understood, 3 some
-keys failed and all others are done, 130 interrupted. What is finished stays, and the same command goes on.
+Exit codes: 0 all keys are done, 1 the batch could not run or had to stop, 2 invalid command line, 3 some keys failed
+and all others are done, 130 interrupted. Finished keys are kept, and the same command continues the batch.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
 __all__ = ["batch", "status"]
 
-LISTED = 20  # failures spelt out where a person reads
-NAMED = 4  # keys at work that a line names
+LISTED = 20  # failures in the printed summary
+NAMED = 4  # running keys on a progress line
 
 
 @contextlib.contextmanager
 def _resumable() -> Iterator[None]:
-    """An interruption, and a request to end (SIGTERM) is one, tells how to go on."""
+    """Treat SIGTERM as an interruption, and add to its message how to continue."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("what is finished is kept, and the same command goes on") from None
+        raise KeyboardInterrupt("finished keys are kept; run the same command to continue") from None
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -60,23 +60,22 @@ def batch(
         Path,
         typer.Option(
             metavar="DIR",
-            help="The folder of the batch: index.html, keys.csv, and keys/KEY/ for every key that is done.",
+            help="Folder of the batch: index.html, keys.csv, and keys/KEY/ for every finished key.",
         ),
     ],
     pattern: Annotated[
         str | None,
         typer.Option(
             metavar="PATTERN",
-            help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
-            "{mic}, {velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing. Guessed from the names if not "
-            "given.",
+            help="Form of the file names in a folder: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
+            "{velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing. Default: guessed from the names.",
         ),
     ] = None,
     root: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="The folder that all recordings must lie in, links followed; if not given, the manifest's own.",
+            help="Folder that must contain all recordings, after resolving links. Default: the folder of the manifest.",
         ),
     ] = None,
     transpose: Annotated[
@@ -84,41 +83,40 @@ def batch(
     ] = 0,
     setup: Annotated[
         Path | None,
-        typer.Option(metavar="SETUP.TOML", help="What is known of all keys; without a list of recordings."),
+        typer.Option(metavar="SETUP.TOML", help="Setup for all keys, without [[recording]]."),
     ] = None,
     channel: Channel = "average",
     seed: Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
     workers: Annotated[
-        int | None, typer.Option(parser=whole, metavar="N", help="How many processes; one a core if not given.")
+        int | None, typer.Option(parser=whole, metavar="N", help="Number of processes. Default: one for each core.")
     ] = None,
     memory: Annotated[
-        float, typer.Option(parser=number, metavar="GIB", help="Memory that each process may take (Linux).")
+        float, typer.Option(parser=number, metavar="GIB", help="Memory limit of each process (Linux).")
     ] = 4.0,
     time_limit: Annotated[
-        float, typer.Option(parser=number, metavar="S", help="Seconds that a key may take in a process.")
+        float, typer.Option(parser=number, metavar="S", help="Time limit for each key in seconds.")
     ] = 3600.0,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A dask.distributed scheduler, tcp://HOST:PORT, to work instead."),
+        typer.Option(metavar="ADDRESS", help="Use a dask.distributed scheduler, tcp://HOST:PORT."),
     ] = None,
     files: Annotated[
         str,
         typer.Option(
             parser=choice("value", "shared"),
             metavar="value|shared",
-            help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
+            help="With --scheduler: send the recordings, or let the workers read them from the same paths.",
         ),
     ] = "value",
-    retry: Annotated[
-        str | None, typer.Option(parser=choice("failed"), metavar="failed", help="Try again what has failed before.")
-    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Fit keys again that failed before.")] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List every file, what it is read as, and what would be done; do nothing.")
+        bool,
+        typer.Option("--dry-run", help="List files, notes and keys to fit. Write nothing."),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Fit every key of a sample library; run again, it goes on where it was."""
+    """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
         _check(workers, memory, time_limit, seed, channel)
         from ..batch import check_cluster, mixtures, plan_jobs, read_keys, run_batch
@@ -130,24 +128,24 @@ def batch(
         for remark in [*remarks, *mixtures(units)]:
             print_error(remark)
         if dry_run:
-            _tell_planned(manifest, units, plan_jobs(units, out, retry == "failed"), as_json)
+            _print_plan(manifest, units, plan_jobs(units, out, retry_failed), as_json)
             return
         with _progress_printer() as progress:
-            made = _workers(workers, memory, time_limit, scheduler, files == "value")
-            found = run_batch(units, out, made, retry_failed=retry == "failed", tell=progress)
-        print_result(found, _summary(found), as_json)
-    if found["counts"]["failed"]:
+            make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
+            result = run_batch(units, out, make_workers, retry_failed=retry_failed, tell=progress)
+        print_result(result, _summary(result), as_json)
+    if result["counts"]["failed"]:
         raise typer.Exit(3)
 
 
 def status(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a batch.")], as_json: Json = False
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a batch.")], as_json: Json = False
 ) -> None:
-    """Say how far a batch is, and why keys failed; also while it is at work."""
+    """Show the progress of a batch and why keys failed, also while it is running."""
     from ..batch import status as run
 
-    found = run(folder)
-    print_result(found, _summary(found), as_json)
+    result = run(folder)
+    print_result(result, _summary(result), as_json)
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
@@ -160,7 +158,7 @@ def _check(workers: int | None, memory: float, time_limit: float, seed: int, cha
 
 
 def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:
-    """What all keys share, the setup's text among it, checked."""
+    """Settings that all keys share. The setup is checked and included as text."""
     from ..batch import Settings
 
     text = ""
@@ -174,7 +172,7 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
 
 
 def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
-    """All keys with their recordings read and hashed; what is wrong with any is said before anything starts."""
+    """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
     import tomllib
 
     from ..batch import make_unit
@@ -194,7 +192,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
 
 
 def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
-    """What makes the workers, once the folder is held."""
+    """Return the function that starts the workers. The batch calls it after locking the folder."""
     from ..batch import Cluster, Local
 
     if scheduler is not None:
@@ -203,19 +201,20 @@ def _workers(workers: int | None, memory: float, time_limit: float, scheduler: s
 
 
 def _line(p: Progress) -> str:
-    """How far a batch is, on one line."""
+    """Progress of a batch on one line."""
     failed = f", {p.failed} failed" if p.failed else ""
-    running = f"; {_at_work(p.running)}" if p.running else ""
-    return f"{p.done} of {counted(p.total, 'key')} done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
+    running = f"; {_running_keys(p.running)}" if p.running else ""
+    left = _format_time_left(p.total - p.done - p.failed, p.left)
+    return f"{p.done} of {counted(p.total, 'key')} done{failed}{left}{running}"
 
 
-def _left(keys: int, seconds: float | None) -> str:
+def _format_time_left(keys: int, seconds: float | None) -> str:
     if not keys:
         return ""
     return f", {_format_duration(seconds)} left" if seconds is not None else ", time left known once a key is done"
 
 
-def _at_work(running: Sequence[tuple[str, str]]) -> str:
+def _running_keys(running: Sequence[tuple[str, str]]) -> str:
     """Keys and their stages, such as "cp80-C4: hammer"."""
     named = [f"{key}: {stage}" if stage else key for key, stage in running[:NAMED]]
     return ", ".join(named) + (f" and {len(running) - NAMED} more" if len(running) > NAMED else "")
@@ -229,32 +228,32 @@ def _format_duration(seconds: float) -> str:
 
 @contextlib.contextmanager
 def _progress_printer() -> Iterator[Callable[[Progress], None]]:
-    """Progress on stderr: a line for every event, and in a terminal one below them that changes."""
+    """Print progress on stderr: a line for every event, and in a terminal a changing line below them."""
     if not sys.stderr.isatty():
-        yield _tell_event
+        yield _print_event
         return
     from rich.console import Console
 
     console = Console(stderr=True, highlight=False)
     with console.status("starting") as line:
 
-        def tell(p: Progress) -> None:
+        def print_progress(p: Progress) -> None:
             if p.event:
                 console.print(p.event, markup=False)
             line.update(_line(p))
 
-        yield tell
+        yield print_progress
 
 
-def _tell_event(p: Progress) -> None:
-    """One line of a log: how many keys have ended, what happened, and the time left."""
+def _print_event(p: Progress) -> None:
+    """Print a log line: number of finished keys, event and time left."""
     if p.event:
         left = f" ({_format_duration(p.left)} left)" if p.left and p.done + p.failed < p.total else ""
         typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
-def _tell_planned(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
-    """Print what a run would do: every file with what it was read as, and every file that was not read."""
+def _print_plan(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
+    """Print the keys with their files, and the files that would not be read."""
     from ..batch import listing, unread
 
     folder, missed = manifest if manifest.is_dir() else manifest.parent, unread(manifest, units)
@@ -274,33 +273,37 @@ def _tell_planned(manifest: Path, units: list[Job], standing: dict[str, str], as
     print_result({"keys": rows, "unread": [file._asdict() for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
-def _summary(found: dict[str, Any]) -> str:
-    """What became of the keys, in a screenful."""
+def _summary(result: dict[str, Any]) -> str:
+    """Summary of all keys for a terminal."""
     from ..batch.job_records import Entry
 
-    count = {state: n for state, n in found["counts"].items() if n}
-    left = _left(count.get("running", 0) + count.get("waiting", 0), found.get("seconds_left"))
+    count = {state: n for state, n in result["counts"].items() if n}
+    left = _format_time_left(count.get("running", 0) + count.get("waiting", 0), result.get("seconds_left"))
     at_work = (
-        "" if "at_work" not in found else f"; a batch is at work{left}" if found["at_work"] else "; no batch is at work"
+        ""
+        if "at_work" not in result
+        else f"; a batch is at work{left}"
+        if result["at_work"]
+        else "; no batch is at work"
     )
     lines = [
-        ", ".join(f"{n} {state}" for state, n in count.items()) + f" of {counted(len(found['keys']), 'key')}{at_work}"
+        ", ".join(f"{n} {state}" for state, n in count.items()) + f" of {counted(len(result['keys']), 'key')}{at_work}"
     ]
-    if found["median_seconds"]:
-        lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
-                     "a process")  # fmt: skip
-    if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
-        lines.append(f"at work: {_at_work(running)}")
-    bad = [k for k in found["keys"] if k["state"] == "failed"]
-    lines += [f"failed: {key['key']}: {printable(Entry(**key).why)}" for key in bad[:LISTED]]
-    if len(bad) > LISTED:
-        lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
-    for key in found["keys"]:
+    if result["median_seconds"]:
+        memory = f"at most {result['largest_memory'] / 2**30:.2f} GiB a process"
+        lines.append(f"median {result['median_seconds']:.1f} s a key, {memory}")
+    if running := [(k["key"], k["stage"]) for k in result["keys"] if k["state"] == "running"]:
+        lines.append(f"at work: {_running_keys(running)}")
+    failed = [k for k in result["keys"] if k["state"] == "failed"]
+    lines += [f"failed: {key['key']}: {printable(Entry(**key).why)}" for key in failed[:LISTED]]
+    if len(failed) > LISTED:
+        lines.append(f"and {len(failed) - LISTED} more failed; --json lists all")
+    for key in result["keys"]:
         lines += [f"left out: {key['key']}: {printable(x['reason'])}" for x in key["left_out"][:LISTED]]
-    lines += found["suggestions"][:LISTED]
-    if found.get("strangers"):
-        lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:LISTED])}")
+    lines += result["suggestions"][:LISTED]
+    if result.get("strangers"):
+        lines.append(f"also in keys/, from an earlier run: {', '.join(result['strangers'][:LISTED])}")
     if count.get("done"):
-        lines.append(f"{found['folder']}: index.html shows every key, keys.csv has the numbers, keys/KEY/ all of each")
-        lines.append(f"to play them: pianofit page {printable(shlex.quote(found['folder']))}")
+        lines.append(f"{result['folder']}: index.html shows all keys, keys.csv has the numbers, keys/KEY/ has the fit")
+        lines.append(f"play them with: pianofit page {printable(shlex.quote(result['folder']))}")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The command that hands an instrument to other programs."""
+"""Command that exports an instrument to other programs."""
 
 from __future__ import annotations
 
@@ -21,76 +21,84 @@ if TYPE_CHECKING:
 
 __all__ = ["export"]
 
+# Options whose names differ from those of `ExportOptions`.
+OPTION_NAMES = {"layers": "--velocity-layers", "kind": "--samples"}
+
 
 def export(
     built: Built,
     out: Annotated[
-        Path, typer.Option(metavar="DIR|FILE.DSP", help="The folder of a sampler to write, or Faust's program.")
+        Path, typer.Option(metavar="DIR|FILE.DSP", help="Folder for the sampler, or file for the Faust program.")
     ],
     prefix: Prefix = None,
     to: Annotated[
-        str, typer.Option("--format", metavar="FORMAT", help="For what: sfz, decent-sampler or faust.")
+        str, typer.Option("--format", metavar="FORMAT", help="Format: sfz, decent-sampler or faust.")
     ] = "sfz",
     keys: Annotated[
-        str, typer.Option(metavar="KEYS", help="Keys of their own: A0-C8, or C2,E2,G2, or 'every 3' (semitones).")
+        str,
+        typer.Option(
+            metavar="KEYS", help="Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed."
+        ),
     ] = "every 3",
     licence: Annotated[
-        str | None, typer.Option(metavar="WORDS", help="Licence of the recordings, to be named in what is written.")
+        str | None, typer.Option(metavar="WORDS", help="Licence of the recordings, for the exported files.")
     ] = None,
-    layers: Annotated[
-        int | None, typer.Option(parser=whole, metavar="N", help="How many velocity layers a sampler has; 8.")
+    velocity_layers: Annotated[
+        int | None, typer.Option(parser=whole, metavar="N", help="Velocity layers of a sampler; default 8.")
     ] = None,
     samples: Annotated[
         str | None,
-        typer.Option(metavar="flac|wav", help="Files of a sampler, 24 bit; by default what its players read."),
+        typer.Option(metavar="flac|wav", help="Format of the samples, 24 bit. Default: by --format."),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(parser=number, metavar="S", help="Length of the longest sample in seconds; 8.")
+        float | None,
+        typer.Option(parser=number, metavar="S", help="Longest sample in seconds; default 8."),
     ] = None,
     rate: Annotated[
-        int | None, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate of a sampler in Hz; 48000.")
+        int | None,
+        typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate of a sampler in Hz; default 48000."),
     ] = None,
     fill: Annotated[
-        bool, typer.Option(help="Sample more keys where keys between the chosen ones would be silent.")
+        bool, typer.Option(help="Sample additional keys, so that no key between the chosen ones is silent.")
     ] = True,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
+    """Export an instrument as a sampler or as a Faust program."""
     from ..export import SAMPLERS, ExportOptions, export_sampler, parse_keys
     from ..export.faust import write_faust
     from ..export.layers import without_gaps
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
 
-    given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
-    asked = {name: value for name, value in given.items() if value is not None}
+    options = {"layers": velocity_layers, "seconds": seconds, "rate": rate, "kind": samples}
+    given = {name: value for name, value in options.items() if value is not None}
     if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
-    _check_target(to, out, asked if fill else asked | {"no-fill": True}, force)
-    chosen, played = parse_keys(keys), load_instrument(built, prefix)
+    _check_target(to, out, given if fill else given | {"no-fill": True}, force)
+    chosen, loaded = parse_keys(keys), load_instrument(built, prefix)
     enable_program_cache()
     with progress_bar() as bar:
         if to == "faust":
-            done = write_faust(out, played, chosen, licence=licence, progress=bar)
-            words = _programmed(done)
+            summary = write_faust(out, loaded, chosen, licence=licence, progress=bar)
+            words = _faust_summary(summary)
         else:
             wanted, sampled = (
-                ExportOptions(kind=SAMPLERS[to].kind)._replace(**asked),
+                ExportOptions(kind=SAMPLERS[to].kind)._replace(**given),
                 without_gaps(chosen) if fill else chosen,
             )
-            done = export_sampler(played, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
-            words = _sampled(done, sorted({*sampled} - {*chosen}))
-    print_result(done._asdict(), f"{out}: {words}", as_json)
+            summary = export_sampler(loaded, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
+            words = _sampler_summary(summary, sorted({*sampled} - {*chosen}))
+    print_result(summary._asdict(), f"{out}: {words}", as_json)
 
 
-def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:
-    """Refuse a name that what is written cannot have, and for Faust what is only a sampler's."""
+def _check_target(to: str, out: Path, given: dict[str, Any], force: bool) -> None:
+    """Check the name of the output, and reject sampler options for Faust."""
     name = printable(out)
     if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
         raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
-    if to == "faust" and asked:
-        options = ("--samples" if option == "kind" else f"--{option}" for option in asked)
+    if to == "faust" and given:
+        options = (OPTION_NAMES.get(name, f"--{name}") for name in given)
         raise ParameterError(f"--format faust has no samples; leave out {', '.join(options)}")
     if to == "faust":
         if out.suffix.lower() != ".dsp":
@@ -98,27 +106,28 @@ def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> Non
         check_target(out, force)
 
 
-def _sampled(done: ExportSummary, added: list[int]) -> str:
+def _sampler_summary(summary: ExportSummary, added: list[int]) -> str:
     from ..export.layers import format_keys
 
-    more = f"{counted(len(added), 'key')} sampled in addition, to fill gaps: {format_keys(added)}\n" if added else ""
-    silent = f"{counted(len(done.silent), 'key')} silent: {format_keys(done.silent)}; give more --keys\n"
+    more = f"{counted(len(added), 'key')} sampled additionally, to fill gaps: {format_keys(added)}\n" if added else ""
+    silent = f"{counted(len(summary.silent), 'key')} silent: {format_keys(summary.silent)}; give more --keys\n"
     return (
-        f"{counted(done.keys, 'key')} sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
-        f"{more}{silent if done.silent else ''}"
-        f"{counted(done.samples, 'sample')}, {done.seconds:.0f} s, {done.bytes / 1e6:.1f} MB, one gain of "
-        f"{done.gain_db:+.1f} dB for all\n"
+        f"{counted(summary.keys, 'key')} sampled, {_count_guesses(summary.guesses)}; "
+        f"{summary.transposed} transposed from them\n"
+        f"{more}{silent if summary.silent else ''}"
+        f"{counted(summary.samples, 'sample')}, {summary.seconds:.0f} s, {summary.bytes / 1e6:.1f} MB, "
+        f"a common gain of {summary.gain_db:+.1f} dB\n"
     )
 
 
-def _programmed(done: Program) -> str:
-    knocks = f"knocks at {done.knock_rate} Hz" if done.knock_rate else "no knocks"
+def _faust_summary(summary: Program) -> str:
+    knocks = f"knocks at {summary.knock_rate} Hz" if summary.knock_rate else "no knocks"
     return (
-        f"{counted(done.keys, 'key')} with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
-        f"{counted(done.left_out, 'mode')} left out, {knocks}, {done.numbers} numbers, "
-        f"one gain of {done.gain_db:+.1f} dB\n"
+        f"{counted(summary.keys, 'key')} with tables, {_count_guesses(summary.guesses)}\n"
+        f"{summary.modes} resonators for each voice, {counted(summary.left_out, 'mode')} left out, {knocks}, "
+        f"{summary.numbers} numbers, a common gain of {summary.gain_db:+.1f} dB\n"
     )
 
 
-def _guesses(count: int) -> str:
+def _count_guesses(count: int) -> str:
     return f"{count} of them {'a guess' if count == 1 else 'guesses'} (never recorded)" if count else "all recorded"

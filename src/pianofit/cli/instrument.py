@@ -1,4 +1,4 @@
-"""The commands of an instrument: put one together, play it, hand it to a browser."""
+"""Commands for an instrument: build it, play a MIDI file, write a page to play in a browser."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ PAGE = "piano.html"
 
 def instrument(
     fits: Annotated[
-        list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="What pianofit batch wrote, or single fits.")
+        list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="The folder of a batch, or single fits.")
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder for instrument.json and instrument.html.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for instrument.json and instrument.html.")],
     prefix: Prefix = None,
     name: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What it is called; else the prefix, or the folder.")
+        str | None, typer.Option(metavar="NAME", help="Name of the instrument. Default: the prefix, or the folder.")
     ] = None,
     page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
+    """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
     from ..instrument import build_instrument, find_fits, instrument_name, load_keys
     from ..instrument.page import write_page
     from ..instrument.text import summary
@@ -74,31 +74,32 @@ def play(
 
     with progress_bar() as bar:
         check_sound_target(out, force)
-        played, notes = load_instrument(built, prefix), load_song(song)
+        loaded, notes = load_instrument(built, prefix), load_song(song)
         enable_program_cache()
         start = time.perf_counter()
-        found = render_song(played, notes, rate, bar)
-        took = time.perf_counter() - start
-    write_file(out, encode_pcm(found.samples, rate), force)
-    seconds = found.samples.shape[-1] / rate
-    done = {
-        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(found.samples), "notes": notes.notes,
-        "notes_beyond": notes.ignored_notes, "remarks": list(notes.remarks), "strikes": found.strikes,
-        "on_moving_strings": found.restrikes, "gain_db": found.gain_db, "limited_db": found.limited_db,
-        "peak": float(abs(found.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
+        rendered = render_song(loaded, notes, rate, bar)
+        elapsed = time.perf_counter() - start
+    write_file(out, encode_pcm(rendered.samples, rate), force)
+    seconds = rendered.samples.shape[-1] / rate
+    info = {
+        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(rendered.samples), "notes": notes.notes,
+        "notes_beyond": notes.ignored_notes, "remarks": list(notes.remarks), "strikes": rendered.strikes,
+        "on_moving_strings": rendered.restrikes, "gain_db": rendered.gain_db, "limited_db": rendered.limited_db,
+        "peak": float(abs(rendered.samples).max(initial=0.0)), "computed_in_s": elapsed,
+        "real_time_factor": elapsed / seconds,
     }  # fmt: skip
-    print_result(done, _played(out, done), as_json)
+    print_result(info, _play_summary(out, info), as_json)
 
 
-def _played(out: Path, done: dict[str, Any]) -> str:
-    turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
-    limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
-    before = "".join(f"{remark}\n" for remark in done["remarks"])
-    before += f"{counted(done['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if done["notes_beyond"] else ""
-    return before + (
-        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {counted(done['notes'], 'note')}, "
-        f"{done['on_moving_strings']} of them on a string still sounding{turned}{limited}\n"
-        f"computed in {done['computed_in_s']:.1f} s, {done['real_time_factor']:.2g} s for each second of sound\n"
+def _play_summary(out: Path, info: dict[str, Any]) -> str:
+    attenuated = f", attenuated by {-info['gain_db']:.1f} dB" if info["gain_db"] < 0 else ""
+    limited = f", peaks limited by up to {info['limited_db']:.1f} dB" if info["limited_db"] > 0 else ""
+    remarks = "".join(f"{remark}\n" for remark in info["remarks"])
+    remarks += f"{counted(info['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if info["notes_beyond"] else ""
+    return remarks + (
+        f"{out}: {info['seconds']:.1f} s at {info['rate']} Hz, {counted(info['notes'], 'note')}, "
+        f"{info['on_moving_strings']} of them on a string still sounding{attenuated}{limited}\n"
+        f"computed in {info['computed_in_s']:.1f} s, {info['real_time_factor']:.2g} s for each second of sound\n"
     )
 
 
@@ -106,19 +107,19 @@ def page(
     built: Built,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.HTML", help=f"The HTML file to write; {PAGE} beside the instrument if not given."),
+        typer.Option(metavar="FILE.HTML", help=f"HTML file to write. Default: {PAGE} next to the instrument."),
     ] = None,
     prefix: Prefix = None,
     recordings: Annotated[
         bool,
-        typer.Option("--recordings", help="Put the recordings into the page, to switch between them and the keys."),
+        typer.Option("--recordings", help="Include the recordings in the page, to compare them with the keys."),
     ] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file that needs no server and no network.
 
-    It has at most 1.5 MB; recordings come on top of that.
+    The file has at most 1.5 MB. Recordings add to that.
     """
     from ..instrument import load_instrument
     from ..web import write_page
@@ -131,23 +132,23 @@ def page(
     if out is None:
         out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
         check_target(out, force)
-    found = write_page(out, loaded, recordings)
-    done = {
-        "file": str(out), "bytes": out.stat().st_size, "keys": found.keys, "recorded": found.recorded,
-        "guesses": {"between": found.between, "beyond": found.beyond},
-        "knocks": None if found.knocks is None else {"bits": found.knocks.bits, "rate": found.knocks.rate},
-        "layers": found.layers,
+    written = write_page(out, loaded, recordings)
+    info = {
+        "file": str(out), "bytes": out.stat().st_size, "keys": written.keys, "recorded": written.recorded,
+        "guesses": {"between": written.between, "beyond": written.beyond},
+        "knocks": None if written.knocks is None else {"bits": written.knocks.bits, "rate": written.knocks.rate},
+        "layers": written.layers,
     }  # fmt: skip
-    print_result(done, _written(done), as_json)
+    print_result(info, _page_summary(info), as_json)
 
 
-def _written(done: dict[str, Any]) -> str:
+def _page_summary(info: dict[str, Any]) -> str:
     from ..instrument.text import unrecorded_text
 
-    kept = done["knocks"]
-    knocks = f"; knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
-    knocks += f"; {counted(done['layers'], 'recording')} next to them" if done["layers"] else ""
+    knock_format = info["knocks"]
+    knocks = f"; knocks at {knock_format['rate']:g} Hz and {knock_format['bits']} bits" if knock_format else ""
+    knocks += f"; {counted(info['layers'], 'recording')} next to them" if info["layers"] else ""
     return (
-        f"{done['file']}: {counted(done['keys'], 'key')}, {done['recorded']} of them recorded; "
-        f"{unrecorded_text(**done['guesses'])}{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
+        f"{info['file']}: {counted(info['keys'], 'key')}, {info['recorded']} of them recorded; "
+        f"{unrecorded_text(**info['guesses'])}{knocks}; {info['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

@@ -1,4 +1,4 @@
-"""The command of the blind listening test: make one, and count its answers."""
+"""Command for blind listening tests: make a test, or count its answers."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def listen(
         typer.Argument(metavar="B", help="A folder with files of the same names, or the fits of the recordings in A."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The folder for the page, listen.html, and its key.")
+        Path | None, typer.Option(metavar="DIR", help="Folder for the page, listen.html, and its key.")
     ] = None,
     reference: Annotated[
         Path | None,
-        typer.Option(metavar="R", help="A third folder: it is also asked whether A or B is nearer to its sounds."),
+        typer.Option(metavar="R", help="A third folder: the test also asks whether A or B is nearer to its sounds."),
     ] = None,
     trials: Annotated[
-        int, typer.Option(parser=whole, metavar="N", help="Questions of each kind, over all sounds.")
+        int, typer.Option(parser=whole, metavar="N", help="Number of questions of each kind, over all sounds.")
     ] = 16,
-    seconds: Annotated[float, typer.Option(parser=number, metavar="S", help="What is heard of each sound, s.")] = 4.0,
+    seconds: Annotated[float, typer.Option(parser=number, metavar="S", help="Length of each sound in seconds.")] = 4.0,
     seed: Seed = 0,
-    leave_out: Annotated[
-        bool, typer.Option("--leave-out", help="Leave out sounds that cannot be compared fairly.")
+    exclude_invalid: Annotated[
+        bool, typer.Option("--exclude-invalid", help="Leave out sounds that fail a check, instead of stopping.")
     ] = False,
     result: Annotated[
         list[Path], typer.Option(metavar="ANSWERS.json", help="Count saved answers; may be given several times.")
@@ -46,30 +46,41 @@ def listen(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Ask blindly whether two folders of sounds can be told apart: a page. With --result: what came of it."""
+    """Make a blind listening test of two folders of sounds. With --result: count its answers."""
     check_seed(seed)
     if result:
         if a or b or out or reference:
-            raise ParameterError(f"--result {result[0]}: stands alone; make a test and count its answers one by one")
+            raise ParameterError(
+                f"--result {result[0]}: cannot be combined with A, B, --out or --reference; remove them"
+            )
         _count(result, as_json)
         return
     if a is None or b is None or out is None:
-        raise typer.BadParameter("A, B and --out are needed to make a test, or --result to count its answers")
+        raise typer.BadParameter("give A, B and --out to make a test, or --result to count its answers")
     if as_json:
-        raise typer.BadParameter("--json goes with --result")
+        raise typer.BadParameter("--json needs --result")
 
     with output_folder(out, force) as folder:
         from ..listening.sounds import listening_test
 
-        made = listening_test(
-            a, b, folder, reference=reference, trials=trials, seconds=seconds, seed=seed, leave_out=leave_out
+        test = listening_test(
+            a,
+            b,
+            folder,
+            reference=reference,
+            trials=trials,
+            seconds=seconds,
+            seed=seed,
+            exclude_invalid=exclude_invalid,
         )
-    for line in made.failed:
+    for line in test.failed:
         print_error(f"left out: {line}")
-    if made.alone:
-        print_error(f"left out, not in all folders: {', '.join(made.alone)}")
-    typer.echo(f"{counted(made.trials, 'question')} about {counted(len(made.names), 'sound')}: {', '.join(made.names)}")
-    typer.echo(f"written to {folder}: give listen.html to listeners; key.json says what it hides; webmushra/")
+    if test.alone:
+        print_error(f"left out, not in all folders: {', '.join(test.alone)}")
+    typer.echo(f"{counted(test.trials, 'question')} about {counted(len(test.names), 'sound')}: {', '.join(test.names)}")
+    typer.echo(
+        f"written to {folder}: give listen.html to listeners; key.json has the answers; webmushra/ is for webMUSHRA"
+    )
 
 
 def _count(files: list[Path], as_json: bool) -> None:

@@ -1,7 +1,7 @@
-"""The command line: thin. Every command checks its arguments, calls one function, and prints what came of it.
+"""Command line. Every command checks its arguments, calls one function and prints its result.
 
-Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 an input that cannot be used, 2 a command
-that cannot be understood, 130 interrupted.
+Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 invalid input, 2 invalid command line, 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from .terminal import add, print_error, print_result
 
 __all__ = ["app", "main", "run"]
 
-# Columns that a help text fills, where the terminal has them; and of a description that a shell shows beside what it
-# completes: a line each, which a narrow terminal would break in two, and fish would take the second for a command.
+# Columns of a help text, if the terminal has them; and of the descriptions that a shell completes. A description must
+# stay on one line: fish reads a second line as another command.
 WIDEST, UNBROKEN = 120, 10_000
 
-# Objects between two rounds of Python's collector. JAX and SciPy leave a million that are no garbage; by the 700 that
-# are usual it goes through them so often that a fit of 4 s takes 0.2 s longer.
+# Allocations between two runs of Python's garbage collector. JAX and SciPy keep a million objects alive. With the
+# default of 700, scanning them adds 0.2 s to a fit of 4 s.
 COLLECTED = 50_000
 
 app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
-    epilog="pianofit COMMAND --help says what a command needs, with an example.",
-    help="From recordings of struck strings to the physical parameters behind them, and back to sound.",
+    epilog="pianofit COMMAND --help lists the arguments of a command, with an example.",
+    help="Estimate physical parameters of struck strings from recordings, and synthesise sound from them.",
 )  # fmt: skip
 
-# What cannot be understood on a command line; typer keeps click's class in a place of its own.
+# Base of click's usage errors; typer has a private copy of click.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
@@ -62,16 +62,16 @@ def _all(
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")] = Path("pianofit-demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write to.")] = Path("pianofit-demo"),
     noise: Annotated[
         float,
-        typer.Option(parser=number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
+        typer.Option(parser=number, metavar="DB", help="Level of the noise below the rms of the first second, dB."),
     ] = 60.0,
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
+    """Fit a synthetic recording, starting from the initial values of the paper, and compare with the true values."""
     from .summary import comparison, summary
 
     check_seed(seed)
@@ -82,48 +82,46 @@ def demo(
         from ..model.program_cache import enable_program_cache
 
         enable_program_cache()
-        progress("making the twin", 0.0)
-        twin = make_synthetic_recording(noise, seed)
-        replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
+        progress("synthesis", 0.0)
+        synthetic = make_synthetic_recording(noise, seed)
+        replace_file(folder / "synthetic.wav", encode_wav(synthetic.samples, synthetic.rate))
         replace_file(folder / "setup.toml", setup_text().encode())
-        result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
+        result = fit(folder / "synthetic.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
         progress("page", 0.95)
         result.save(folder, force=True)
     words = (
-        f"{comparison(result.document, twin.true)}\n{summary(result.document, folder)}"
+        f"{comparison(result.document, synthetic.true)}\n{summary(result.document, folder)}"
         f"the page is {folder / 'report.html'}; the same fit from its files:\n"
-        f"pianofit fit {folder / 'twin.wav'} --setup {folder / 'setup.toml'} --out another\n"
+        f"pianofit fit {folder / 'synthetic.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
-    print_result(result.document | {"true": twin.true}, words, as_json)
+    print_result(result.document | {"true": synthetic.true}, words, as_json)
 
 
 def reproduce(
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="The folder for the page, index.html, and the files behind it.")
-    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page, index.html, and its files.")],
     seed: Seed = 0,
     force: Force = False,
     quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
 ) -> None:
-    """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
+    """Test the tables, figures and claims of the paper on synthetic recordings, and write one page."""
     check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
         from ..bensa2005.reproduce import FULL, QUICK
         from ..bensa2005.reproduce import reproduce as run
 
         claims = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
-    for one in claims:
-        instead = f" ({one.instead})" if one.instead else ""
-        typer.echo(f"{one.word:17} {one.claim}{instead}")
+    for claim in claims:
+        instead = f" ({claim.instead})" if claim.instead else ""
+        typer.echo(f"{claim.word:17} {claim.claim}{instead}")
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
-# In the order of the help, each with the example that ends its own.
+# In the order of the help, each with the example of its own help.
 COMMANDS = {
     fits.analyse: "pianofit analyse note.wav --note F#2",
     fits.fit: "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted",
     fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
-    fits.crossval: "pianofit crossval soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
+    fits.cross_validate: "pianofit cross-validate soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
     fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
     batch.batch: "pianofit batch library.csv --out library",
     batch.status: "pianofit status library",
@@ -142,7 +140,7 @@ for command, example in COMMANDS.items():
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line `arguments`, those of this process if None; the exit code."""
+    """Run the command line `arguments`, or those of this process, and return the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if "_PIANOFIT_COMPLETE" in os.environ:
         os.environ["COLUMNS"] = str(UNBROKEN)
@@ -155,21 +153,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in DISK_FULL or error.filename is not None:
             raise
-        # Of a file it would be an error of ours: it is what was to be printed, and what is left of it goes nowhere.
+        # Standard output is full. Python would fail again when it flushes the rest at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print_error(f"standard output cannot be written ({error.strerror}); send it elsewhere")
         return 1
 
 
 def _fill_streams() -> None:
-    """Put the null device in the place of standard streams that are closed, or a file of ours would be opened there."""
+    """Open the null device in place of closed standard streams, so that no output file gets their numbers."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free, and so this stream's own
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, that of this stream
 
 
 def run() -> NoReturn:
-    """`main` as a process of its own, which ends it: at the end nothing is searched for garbage."""
+    """Run `main` and end the process, without a final garbage collection."""
     _fill_streams()
     if sys.stdout is None:
         print_error("standard output is closed; send it to a file, or to /dev/null")

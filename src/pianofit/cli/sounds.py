@@ -1,4 +1,4 @@
-"""The commands from parameters to a sound file: simulate and render."""
+"""Commands from parameters to a sound file: simulate and render."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["render", "simulate"]
 
-# Units of the recorded quantities. The model's pressure is the force on the bridge.
+# Units of the recorded quantities. The model represents pressure by the force on the bridge.
 UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
 
 
@@ -29,12 +29,12 @@ def simulate(
     preset: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="A published string and hammer, such as bensa-final; a wrong name lists all."
+            metavar="NAME", help="A published string and hammer, such as bensa-final. An unknown name lists all."
         ),
     ] = None,
     typical: Annotated[
         str | None,
-        typer.Option(metavar="NOTE", help="Instead of --preset: the typical string and hammer of a key, such as C4."),
+        typer.Option(metavar="NOTE", help="Instead of --preset: typical string and hammer of a key, such as C4."),
     ] = None,
     change: Annotated[
         list[str],
@@ -44,11 +44,11 @@ def simulate(
     seconds: Seconds = 3.0,
     rate: Annotated[int, RATE] = 44_100,
     quantity: Annotated[
-        str, typer.Option(metavar="QUANTITY", help="What the pickup records: velocity, displacement or bridge-force.")
+        str, typer.Option(metavar="QUANTITY", help="Quantity of the pickup: velocity, displacement or bridge-force.")
     ] = "bridge-force",
     strike: Annotated[
         float | None,
-        typer.Option(parser=number, metavar="M", help="Position of the strike, m from the agraffe."),
+        typer.Option(parser=number, metavar="M", help="Strike position, m from the agraffe."),
     ] = None,
     pickup: Annotated[
         float | None,
@@ -59,23 +59,21 @@ def simulate(
     scale: Annotated[
         float | None,
         typer.Option(
-            parser=number, metavar="X", help="m/s, m or N at digital full scale; if not given, the peak is -1 dBFS."
+            parser=number, metavar="X", help="m/s, m or N at digital full scale. Default: the peak is at -1 dBFS."
         ),
     ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(
-            parser=number, metavar="DB", help="White noise: its rms lies so many dB below that of the first second."
-        ),
+        typer.Option(parser=number, metavar="DB", help="Level of white noise below the rms of the first second, dB."),
     ] = None,
     seed: Seed = 0,
     setup_out: Annotated[
         Path | None,
-        typer.Option(metavar="SETUP.TOML", help="Also write the setup that makes the sound a calibrated measurement."),
+        typer.Option(metavar="SETUP.TOML", help="Also write the setup for a calibrated fit of the sound."),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Strike a published or typical string and write its sound, on request as a calibrated measurement."""
+    """Simulate a published or typical string and write its sound, optionally with a setup for a fit."""
     check_sound_target(out, force)
     if setup_out is not None:
         check_target(setup_out, force)
@@ -87,53 +85,57 @@ def simulate(
 
     check_render(velocity, seconds, rate)
     enable_program_cache()
-    string, hammer, geometry = _struck(_described(preset, typical), change, velocity)
-    geometry = _placed(geometry, quantity, strike, pickup)
-    made = synthetic_recording(
+    string, hammer, geometry = _apply_changes(_load_preset(preset, typical), change, velocity)
+    geometry = _apply_positions(geometry, quantity, strike, pickup)
+    recording = synthetic_recording(
         string, hammer, geometry, rate=rate, seconds=seconds, quantity=quantity, scale=scale, noise_db=noise, seed=seed,
         name=out.name,
     )  # fmt: skip
-    write_file(out, encode_wav(made.samples, rate), force)
+    write_file(out, encode_wav(recording.samples, rate), force)
     if setup_out is not None:
-        write_file(setup_out, made.setup_text.encode(), force)
-    pulse = made.simulation.pulse
+        write_file(setup_out, recording.setup_text.encode(), force)
+    pulse = recording.simulation.pulse
     typer.echo(
-        f"{out}: {seconds:g} s, largest force {float(pulse.force.max()):.3g} N, {contact_of(made.simulation)}, "
-        f"full scale {made.scale:.4g} {UNITS[quantity]}"
+        f"{out}: {seconds:g} s, largest force {float(pulse.force.max()):.3g} N, {contact_of(recording.simulation)}, "
+        f"full scale {recording.scale:.4g} {UNITS[quantity]}"
     )
 
 
-def _described(preset: str | None, typical: str | None) -> Preset:
-    """The string and hammer that exactly one of two options names."""
+def _load_preset(preset: str | None, typical: str | None) -> Preset:
+    """Return the preset or the typical note. Exactly one of them must be given."""
     from .. import literature
 
     if preset is not None and typical is None:
         return literature.preset(preset)
     if typical is not None and preset is None:
         return literature.typical(typical)
-    found = "none is" if preset is None else "both are"
-    raise typer.BadParameter(f"give --preset NAME or --typical NOTE; {found} given")
+    count = "none is" if preset is None else "both are"
+    raise typer.BadParameter(f"give --preset NAME or --typical NOTE; {count} given")
 
 
-def _struck(it: Preset, change: list[str], velocity: float | None) -> tuple[String, Any, Geometry]:
-    """String, hammer and geometry with the changes that were asked for."""
+def _apply_changes(preset: Preset, change: list[str], velocity: float | None) -> tuple[String, Any, Geometry]:
+    """String, hammer and geometry with the values of --set and --velocity."""
     changed = _assignments(change)
     if velocity is not None and "v_H0" in changed:
         raise ParameterError(f"velocity={velocity} and --set v_H0={changed['v_H0']} are both given; remove one of them")
-    values = it.string._asdict() | it.hammer._asdict() | changed
+    values = preset.string._asdict() | preset.hammer._asdict() | changed
     if velocity is not None:
         values["v_H0"] = velocity
     check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", BOXES)
-    return it.string._replace(**{k: values[k] for k in it.string._fields}), make_hammer(values, "--set"), it.geometry
+    return (
+        preset.string._replace(**{k: values[k] for k in preset.string._fields}),
+        make_hammer(values, "--set"),
+        preset.geometry,
+    )
 
 
-def _placed(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
-    """The geometry with another strike or pickup position."""
+def _apply_positions(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
+    """Replace strike and pickup position in a geometry."""
     if pickup is not None and quantity not in ON_THE_STRING:
         raise ParameterError(
             f"pickup={pickup:g} m: a {quantity} pickup has no position; choose velocity or displacement"
         )
-    given = {"strike": strike, "pickup": pickup}
+    given = {"strike_position": strike, "pickup": pickup}
     return geometry._replace(**{name: value for name, value in given.items() if value is not None})
 
 
@@ -151,14 +153,14 @@ def _assignments(change: list[str]) -> dict[str, float]:
 
 
 def render(
-    fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
+    fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json.")],
     velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
     out: Sound,
     seconds: Seconds = 6.0,
     rate: Annotated[int | None, RATE] = None,
     force: Force = False,
 ) -> None:
-    """Play a fitted string and hammer at any velocity, through its gain and path."""
+    """Synthesise a fitted note at any velocity, with its gain and output path."""
     check_sound_target(out, force)
     from ..fit_file import load_note
     from ..model.note import check_render
@@ -174,5 +176,5 @@ def render(
         played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate))
     )
     write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
-    turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
-    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")
+    scaled = f", multiplied by {gain:.3g} to stay below full scale" if gain < 1 else ""
+    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{scaled}")

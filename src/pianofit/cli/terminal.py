@@ -1,4 +1,4 @@
-"""What every command does alike at a terminal: errors in one line, and an exit code."""
+"""Terminal output of all commands: results, errors on one line, exit codes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["add", "print_error", "print_result"]
 
 
 class _Command(TyperCommand):
-    """A command whose help names its arguments by their metavar alone, without braces and types."""
+    """Command whose help shows arguments by their metavar, without braces and types."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """The words after the command's name, for the line of usage."""
+        """Words after the command name on the usage line."""
         return [str(self.options_metavar), *(name for name, _ in self._records(ctx, "argument"))]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -39,23 +39,24 @@ class _Command(TyperCommand):
 
 
 def add(app: typer.Typer, command: Callable, example: str) -> None:
-    """Give `app` a command whose help ends with an example, and whose errors are one line."""
+    """Add a command to `app`. Its help ends with an example, and its errors are one line."""
     first = (command.__doc__ or "").partition("\n")[0]
-    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_catch_errors(command))
+    name = command.__name__.replace("_", "-")
+    app.command(name, cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_catch_errors(command))
 
 
 def print_result(document: dict[str, Any], words: str, as_json: bool) -> None:
-    """Print what came of a command: as JSON, or in words, whose last line ends."""
+    """Print a result as JSON, or as text that ends with a newline."""
     typer.echo(json_text(document) if as_json else words, nl=False)
 
 
 def print_error(message: str) -> None:
-    """Say what is wrong, on one line whatever is in it."""
+    """Print a message on stderr, on one line."""
     typer.echo("pianofit: " + printable(" ".join(message.split())), err=True)
 
 
 def _catch_errors(command: Callable) -> Callable:
-    """A command whose errors are one line on stderr and an exit code; an interruption's words, if any, are told."""
+    """Wrap a command, so that errors and interruptions become one line on stderr and an exit code."""
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
@@ -68,7 +69,7 @@ def _catch_errors(command: Callable) -> Callable:
         except KeyboardInterrupt as interruption:
             print_error(f"interrupted; {str(interruption) or 'nothing more is written'}")
             raise typer.Exit(130) from None
-        except BrokenPipeError:  # whoever read our output has had enough
+        except BrokenPipeError:  # the reader of the output, such as head, has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(0) from None
 

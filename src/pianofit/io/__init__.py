@@ -1,1 +1,1 @@
-"""Files in and out: sound formats, text, tables and the formatting of numbers."""
+"""Input and output: sound files, text files, tables and number formats."""

@@ -1,4 +1,4 @@
-"""Every file in and out: read whole or refused, written whole or not at all, and the bytes of a sound."""
+"""Input and output of files. Files are read completely or rejected, and written completely or not at all."""
 
 from __future__ import annotations
 
@@ -52,39 +52,38 @@ __all__ = [
     "write_file",
 ]
 
-# Channels of a sound at the most.
-# The header of a WAV file holds the rate in 32 bits, and the bytes of a second too.
+# The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
 HIGHEST_RATE = 10_000_000  # Hz
 MOST_CHANNELS = 8
-# Largest sample of what is written to be heard, full scale = 1: -1 dB leaves room for players that resample.
+# Peak of sounds for listening, full scale = 1. -1 dB leaves headroom for players that resample.
 PEAK_LIMIT = 10 ** (-1 / 20)
-# Schema of the fit.json that this version writes.
+# Schema of fit.json.
 FIT_SCHEMA = 4
-# Of a fit.json, bytes.
+# Largest fit.json, bytes.
 LARGEST_FIT = 2**24
-# What a system says where there is no room: the disk is full, a quota is used up, a file has all the size it may have.
+# Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def printable(text: object) -> str:
-    """Return `text` with all that a terminal would not print on one line escaped (newlines, controls, stray bytes)."""
+    """Return `text` on one line, with newlines, control characters and invalid bytes escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
 def path_name(path: str | os.PathLike[str]) -> str:
-    """A path on one line, as messages show it; a `ParameterError` for what is no path."""
+    """Return a path on one line for messages. Raise a `ParameterError` for a value that is not a path."""
     check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
     return printable(os.fspath(path))
 
 
 def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
-    """Return the bytes of a regular file of 1 to `limit` bytes; anything else raises `error` without blocking."""
+    """Return the bytes of a regular file of 1 to `limit` bytes. Anything else raises `error` without blocking."""
     name = path_name(path)
     try:
         status = Path(path).stat()
         if stat.S_ISDIR(status.st_mode):
             raise error(f"{name}: is a folder; name a file in it")
-        if not stat.S_ISREG(status.st_mode):  # a pipe or a device could block for ever, or never end
+        if not stat.S_ISREG(status.st_mode):  # a pipe or a device could block, or never end
             raise error(f"{name}: is a pipe or a device; copy its content to a file first")
         if status.st_size > limit:
             raise error(f"{name}: has {status.st_size / 2**20:.1f} MiB, more than {limit / 2**20:g} MiB; shorten it")
@@ -100,7 +99,7 @@ def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
 
 
 def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> str:
-    """`read_file` of UTF-8 text; a byte that is none raises `error`, naming its line."""
+    """Read UTF-8 text. An invalid byte raises `error` with its line."""
     data = read_file(path, limit, error)
     try:
         return data.decode("utf-8-sig")
@@ -114,7 +113,7 @@ def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
 def load_json(
     path: str | os.PathLike[str], most: int, kind: str, hint: str, error: type[PianofitError] = FitError
 ) -> Any:
-    """What a file of at most `most` bytes holds, or an `error` that names the file, `kind` and the `way_out`."""
+    """Read JSON of at most `most` bytes. An `error` names the file, `kind` and the `hint`."""
     try:
         return json.loads(read_file(path, most, error).decode("utf-8"))
     except (ValueError, RecursionError) as problem:
@@ -123,43 +122,43 @@ def load_json(
 
 
 def table_of(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
-    """The table `key` of a document, or a `FitError`."""
+    """Return the table `key` of a document, or raise a `FitError`."""
     table = document.get(key)
     if not isinstance(table, dict):
-        raise FitError(f"{where}: {key} is missing or no table; {hint}")
+        raise FitError(f"{where}: {key} is missing or not a table; {hint}")
     return table
 
 
 def reference_of(rows: Any) -> tuple[int, dict[str, Any]]:
-    """Place and row of the reference, whose v_H0 the fit has: the one marked so, or the first; empty without any."""
-    found = [(at, row) for at, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
-    return next((one for one in found if one[1].get("first") is True), found[0] if found else (0, {}))
+    """Return index and row of the reference recording: the marked row, or the first; 0 and {} if none exist."""
+    tables = [(i, row) for i, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
+    return next((entry for entry in tables if entry[1].get("first") is True), tables[0] if tables else (0, {}))
 
 
 def require_finite(value: Any, where: str, hint: str) -> float:
-    """A number that can be computed with, or a `FitError`."""
+    """Return a finite number, or raise a `FitError`."""
     if not is_number(value):
-        raise FitError(f"{where} is {short_repr(value)}, no finite number; {hint}")
+        raise FitError(f"{where} is {short_repr(value)}, not a finite number; {hint}")
     return float(value)
 
 
 def array_of(value: Any, *shape: int | None) -> np.ndarray:
-    """Lists of numbers that can be computed with, as an array of that shape, None for any length; empty, if not so."""
+    """Convert lists of finite numbers to an array of `shape`; None is any length. Invalid lists give an empty array."""
     with contextlib.suppress(ValueError):  # rows of different lengths
         array = np.array(value)
-        fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-        if fits and array.dtype.kind in "iuf" and (np.abs(array) <= LARGEST).all():
+        valid = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        if valid and array.dtype.kind in "iuf" and (np.abs(array) <= LARGEST).all():
             return array.astype(float)
     return np.empty((0,) * len(shape))
 
 
 def is_increasing(values: np.ndarray) -> bool:
-    """Whether there are values, and they rise from above 0."""
+    """Return True for at least one value, all positive and increasing."""
     return bool((np.diff(values, prepend=0.0) > 0).all()) and len(values) > 0
 
 
 def replace_strings(value: Any, names: Mapping[str, str]) -> Any:
-    """A document in all whose texts one name stands for another: a path for another path, or a name for a path."""
+    """Replace substrings in all strings of a document, for example paths."""
     if isinstance(value, dict):
         return {key: replace_strings(entry, names) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -171,13 +170,13 @@ def replace_strings(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def short_repr(value: Any) -> str:
-    """A value as an error shows it: not the whole of a hostile one."""
+    """Return a value for an error message, with at most 60 characters."""
     text = printable(repr(value))
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write `content` to `path`, replacing what was there in one step, or raise an `OutputError`; nothing is left."""
+    """Write `content` to `path` atomically. If that fails, raise an `OutputError` and leave no temporary file."""
     target = Path(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
@@ -187,40 +186,39 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise write_error(target, error, "choose a folder that exists and is yours") from error
+        raise write_error(target, error, "choose a folder that exists and is writable") from error
 
 
 def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> OutputError:
-    """What to tell of a file or folder that the system did not let be written: to make room, or else the `way_out`."""
+    """Return the error of a failed write. Its hint is to make room if the disk is full, or else `hint`."""
     hint = "make room, and run the same command again" if error.errno in DISK_FULL else hint
     return OutputError(f"{printable(path)}: cannot be written ({printable(error.strerror or error)}); {hint}")
 
 
 @contextlib.contextmanager
 def output_folder(path: Path, force: bool) -> Iterator[Path]:
-    """A folder to write to, made if need be; taken away again if nothing came of it.
+    """Create an output folder if needed, and remove it again if it stays empty.
 
-    An `OutputError` if it cannot be made, is a file, or holds something and `force` is not given.
+    Raises `OutputError` if the folder cannot be created, is a file, or is not empty and `force` is False.
     """
     name = printable(path)
     try:
-        made = [p for p in (path, *path.parents) if not p.exists()]
+        created = [p for p in (path, *path.parents) if not p.exists()]
         path.mkdir(parents=True, exist_ok=True)
-        held = next(path.iterdir(), None)
-        if held is not None and not force:
+        if next(path.iterdir(), None) is not None and not force:
             raise OutputError(
                 f"{name}: the folder is not empty; give another --out, or --force to replace a result in it"
             )
         if not os.access(path, os.W_OK | os.X_OK):
-            raise OutputError(f"{name}: the folder cannot be written to; choose one that is yours")
+            raise OutputError(f"{name}: the folder is not writable; choose another --out")
     except OSError as error:
-        raise OutputError(f"{name}: no folder can be made here ({error.strerror}); choose another --out") from None
+        raise OutputError(f"{name}: cannot create the folder ({error.strerror}); choose another --out") from None
 
     def cleanup() -> None:
         for unfinished in path.glob(f".*.{os.getpid()}.tmp"):
             unfinished.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # only empty folders go
-            for folder in made:
+        with contextlib.suppress(OSError):  # rmdir removes only empty folders
+            for folder in created:
                 folder.rmdir()
 
     with cleanup_on_interrupt(cleanup):
@@ -231,17 +229,17 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def cleanup_on_interrupt(tidy: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C tidies up and ends the program at once with 130.
+def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
+    """Make Ctrl-C call `cleanup` and exit immediately with 130.
 
-    Raised as an exception it would unwind through the compiler, or end Python while that still works in another thread:
-    either takes the process down with a signal of its own.
+    An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
+    the process.
     """
 
     def stop(*_: object) -> None:
-        tidy()
-        shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
-        os.write(2, f"{shown}pianofit: interrupted; nothing more is written\n".encode())
+        cleanup()
+        cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
+        os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
         os._exit(130)
 
     if threading.current_thread() is not threading.main_thread():
@@ -255,9 +253,9 @@ def cleanup_on_interrupt(tidy: Callable[[], None]) -> Iterator[None]:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Refuse a file that could not be written, before anything is computed for it: by an `OutputError`.
+    """Raise an `OutputError` if a file cannot be written, before its content is computed.
 
-    It exists and `force` is not given, is a folder, or has no folder to be in.
+    That is so if it exists and `force` is False, is a folder, or its folder does not exist.
     """
     if path.is_dir():
         raise OutputError(f"{printable(path)}: is a folder; give a file name")
@@ -265,32 +263,32 @@ def check_target(path: Path, force: bool) -> None:
         raise OutputError(f"{printable(path)}: exists; give another --out, or --force to replace it")
     if not path.parent.is_dir():
         raise OutputError(
-            f"{printable(path)}: there is no folder {printable(path.parent)}; make it, or give another --out"
+            f"{printable(path)}: the folder {printable(path.parent)} does not exist; create it, or give another --out"
         )
 
 
 def check_sound_target(path: Path, force: bool) -> None:
-    """`check_target` of a sound, whose name must end in .wav."""
+    """`check_target` for a sound. Its name must end in .wav."""
     if path.suffix.lower() != ".wav":
         raise OutputError(f"{printable(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
     check_target(path, force)
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write one file, whole or not at all, if `check_target` lets it."""
+    """Write one file atomically, after `check_target`."""
     check_target(path, force)
     replace_file(path, content)
 
 
 def json_text(document: dict) -> str:
-    """`document` as JSON that any reader takes: no NaN, no infinity."""
+    """Return `document` as standard JSON, without NaN and infinity."""
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """A WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+    """Encode a WAV file of 32 bit floats, without rounding and without clipping above full scale.
 
-    Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
+    libsndfile is not used, because it writes the current time into such files. Here equal sounds give equal bytes.
 
     Parameters
     ----------
@@ -299,12 +297,12 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
 
     Returns
     -------
-    The file's bytes.
+    The bytes of the file.
 
     Raises
     ------
     ParameterError
-        Where `samples` are not floats, or are no rows of them, a channel each, and for a rate that no WAV file has.
+        If `samples` are not floats of a valid shape, or the rate is invalid.
 
     Examples
     --------
@@ -321,7 +319,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     if not 1 <= samples.ndim <= 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
         raise ParameterError(
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
-            f"samples] of at most {MOST_CHANNELS} channels; transpose them, divide integers by their full scale"
+            f"samples] with at most {MOST_CHANNELS} channels; transpose them, or divide integers by full scale"
         )
     stream = io.BytesIO()
     wavfile.write(stream, rate, samples.T.astype(np.float32))
@@ -329,7 +327,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
 
 
 def encode_pcm(samples: np.ndarray, rate: int, kind: str = "wav", bits: int = 24) -> bytes:
-    """A WAV or FLAC file of whole numbers of so many bits: of them, or of floats within ±1 [channels, samples]."""
+    """Encode integers, or floats within ±1, [channels, samples], as a PCM WAV or FLAC file."""
     import soundfile
 
     stream = io.BytesIO()
@@ -338,7 +336,7 @@ def encode_pcm(samples: np.ndarray, rate: int, kind: str = "wav", bits: int = 24
 
 
 def limit_peak(samples: np.ndarray) -> tuple[np.ndarray, float]:
-    """A sound whose peak is `CEILING` at the most, and the gain that took."""
+    """Scale a sound to a peak of at most `PEAK_LIMIT`. Return it and the gain."""
     peak = float(np.abs(samples).max(initial=0.0))
     gain = PEAK_LIMIT / peak if peak > PEAK_LIMIT else 1.0
     return samples * gain, gain

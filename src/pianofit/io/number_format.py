@@ -1,7 +1,7 @@
-"""Numbers as text: as many digits as the interval supports, on a page and in a terminal.
+"""Numbers as text, with as many digits as their interval supports, for pages and terminals.
 
-A value and the ends of its interval are written to two significant digits of the interval's half-width, to one decimal
-place all three (JCGM 100:2008, GUM, 7.2.6), so that an end never rounds to the value.
+A value and both ends of its interval get the same decimal place: the second significant digit of the half-width (JCGM
+100:2008, GUM, 7.2.6). An end then never rounds to the value.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ __all__ = [
     "with_standard_error",
 ]
 
-# Larger numbers overflow when they are squared.
+# Larger numbers overflow when squared.
 LARGEST = 1e300
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
-# Ends of an interval that differ by more than this factor are written each with its own power of ten.
-APART = 1e3
-# Powers of ten that are written out: 0.0001 to 999999.
+# If the ends of an interval differ by more than this factor, each has its own power of ten.
+WIDE_INTERVAL = 1e3
+# Numbers from 0.0001 to 999999 are written without a power of ten.
 LOWEST_POWER, HIGHEST_POWER = -4, 6
-# Half an interval of a logarithm, as ± per cent up to the first, and as a factor up to the second.
-SMALL, HUGE = 0.2, 10.0
+# Half-width of an interval of a logarithm: per cent up to the first value, a factor up to the second.
+PERCENT_LIMIT, FACTOR_LIMIT = 0.2, 10.0
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def is_number(value: Any) -> bool:
-    """Whether `value` is a number that can be computed with."""
+    """Return True for a finite number, not a bool, that can be squared without overflow."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def counted(count: int, noun: str, several: str = "") -> str:
-    """A count with its noun: "1 key", "2 keys"; `several` is the plural where that does not end in s."""
-    return f"{count} {noun if count == 1 else several or noun + 's'}"
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a count with its noun: "1 key", "2 keys". `plural` is for nouns without a regular plural."""
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """Write `value` with up to `digits` significant digits, as a reader likes it: 0.12, 304.1, 1.099 × 10¹⁰."""
+    """Return `value` with up to `digits` significant digits: 0.12, 304.1, 1.099 × 10¹⁰."""
     if not is_number(value):
         return "–"
     power, decimals = _scale(value, digits)
@@ -60,7 +60,7 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def with_interval(value: Any, interval: Any) -> tuple[str, str]:
-    """`value` and its interval for a page, with one power of ten for all; the interval is empty where there is none."""
+    """Return `value` and its interval for a page, with a common power of ten. A missing interval is an empty text."""
     if not (is_number(value) and interval and all(map(is_number, interval))):
         return number(value), ""
     digits = _supported(value, interval)
@@ -72,21 +72,21 @@ def with_interval(value: Any, interval: Any) -> tuple[str, str]:
 
 
 def format_relative_uncertainty(half: float, factor: str = "to a factor of {}") -> str:
-    """Half an interval of a logarithm as a reader takes it: "± 0.61 %" while it is small, else "to a factor of 3.3"."""
-    if half < SMALL:
+    """Return the half-width of an interval of a logarithm as "± 0.61 %", or if large as "to a factor of 3.3"."""
+    if half < PERCENT_LIMIT:
         return f"± {number(100 * half, 2)} %"
-    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}") if half < HUGE else "to many powers of ten"
+    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}") if half < FACTOR_LIMIT else "to many powers of ten"
 
 
 def with_half_interval(value: float, half: float, unit: str = "") -> str:
-    """`value` to the digits that half an interval of its logarithm supports, and how far off: "7.02 N (± 0.61 %)"."""
-    near = (value * math.exp(-half), value * math.exp(half)) if half < SMALL else None
+    """Return `value` with the digits that the half-width of its logarithm supports: "7.02 N (± 0.61 %)"."""
+    near = (value * math.exp(-half), value * math.exp(half)) if half < PERCENT_LIMIT else None
     text = with_interval(value, near)[0] if near else number(value, 3)
     return f"{text}{f' {unit}' if unit else ''} ({format_relative_uncertainty(half)})"
 
 
 def format_with_interval(value: float, interval: Sequence[float] | None) -> tuple[str, str]:
-    """`value` and its interval for a terminal, such as "304.1002" and "[304.0998, 304.1006]"; "-" without one."""
+    """Return `value` and its interval for a terminal: "304.1002" and "[304.0998, 304.1006]", or "-" without one."""
     if not interval or not all(map(is_number, interval)):
         return f"{value:.5g}", "-"
     digits = _supported(value, interval)
@@ -97,23 +97,23 @@ def format_with_interval(value: float, interval: Sequence[float] | None) -> tupl
 
 
 def format_like(other: float, value: float, interval: Sequence[float] | None) -> str:
-    """Another value to the decimal place of `value` and its interval, as `bracketed` writes these."""
+    """Return `other` with the decimal place that `format_with_interval` gives `value`."""
     digits = _supported(value, interval) if interval and all(map(is_number, interval)) else None
     return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value), value)
 
 
 def with_standard_error(value: float, error: float) -> tuple[str, str]:
-    """`value` and its standard error for a terminal, to two significant digits of the error."""
+    """Return `value` and its standard error for a terminal, to two significant digits of the error."""
     if not (is_number(error) and error > 0):
         return f"{value:.6g}", "-"
     place = 1 - _exponent(error)
     if value and _exponent(value) + place > MOST:
         place = MOST - _exponent(value)
-    return _to_place(value, place, value), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
+    return _to_place(value, place, value), f"{error:.1e}" if _needs_power(error) else f"{error:.{max(0, place)}f}"
 
 
 def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
-    """Rows of text as lines: columns as wide as their longest entry, two spaces apart, that at `right` flush right."""
+    """Align rows of text in columns, two spaces apart. The column with index `right` is aligned to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True)))
@@ -122,9 +122,9 @@ def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
 
 
 def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
-    """A named tuple for a prompt: arrays by their shapes, numbers to six digits, or `exact`.
+    """Return the repr of a named tuple: arrays as shapes, numbers with six digits, or `exact`.
 
-    Each field stands on its own of several `lines`, or all on one.
+    With `lines` every field has its own line.
     """
     comma, ends = (",\n  ", ("\n  ", "\n")) if lines else (", ", ("", ""))
     inside = comma.join(f"{name}={_summarised(value, exact)}" for name, value in zip(it._fields, it, strict=True))
@@ -132,7 +132,7 @@ def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
 
 
 def filled(it: Any) -> str:
-    """A dataclass for a prompt: only the fields that hold a value."""
+    """Return the repr of a dataclass, without empty fields."""
     values = {field.name: getattr(it, field.name) for field in fields(it)}
     given = (f"{name}={value!r}" for name, value in values.items() if value not in (None, {}, ()))
     return f"{type(it).__name__}({', '.join(given)})"
@@ -152,33 +152,33 @@ def _summarised(value: Any, exact: bool) -> str:
 
 
 def _supported(value: float, interval: Sequence[float]) -> int | None:
-    """Significant digits of `value` down to the second of the half-width; None where the ends are decades apart."""
+    """Return the significant digits of `value` down to the second of the half-width; None for very wide intervals."""
     low, high = interval
     half = (high - low) / 2
-    if not half > 0 or max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / APART:
+    if not half > 0 or max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / WIDE_INTERVAL:
         return None
     return min(MOST, max(FEWEST, _exponent(value) - _exponent(half) + 2))
 
 
 def _exponent(value: float) -> int:
-    """Of the leading digit, after rounding to two: 2 of 304.1."""
+    """Return the exponent of the leading digit, after rounding to two digits: 2 for 304.1."""
     return int(f"{value:.1e}".split("e")[1])
 
 
-def _far(value: float) -> bool:
-    """Whether a value needs its power of ten."""
+def _needs_power(value: float) -> bool:
+    """Return True if a value needs a power of ten."""
     return not LOWEST_POWER < _exponent(value) < HIGHEST_POWER
 
 
 def _to_place(value: float, place: int, like: float) -> str:
-    """`value` to `place` decimals: plain where `like` is short so, else with the power of ten of `like`."""
-    power = _exponent(like) if _far(like) or place < 0 else 0
+    """Return `value` with `place` decimals, and with a power of ten if `like` needs one."""
+    power = _exponent(like) if _needs_power(like) or place < 0 else 0
     text = f"{Decimal(value).scaleb(-power):.{max(0, place + power)}f}"
     return f"{text}e{power:+03d}" if power else text
 
 
 def _scale(value: float, digits: int) -> tuple[int, int]:
-    """(Power of ten to take out, decimals to write) for `digits` significant digits of `value`."""
+    """Return the power of ten to factor out, and the decimals, for `digits` significant digits of `value`."""
     exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
     power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER else exponent
     return power, max(0, digits - 1 - exponent + power)

@@ -1,4 +1,4 @@
-"""Tables for people and for other programs: HTML that a notebook shows, CSV, and a pandas data frame."""
+"""Output of tables: HTML for notebooks, CSV and pandas data frames."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Rows = Iterable[Sequence[Any]]
 
 
 def html_table(header: Sequence[str], rows: Rows, caption: str = "") -> str:
-    """A table as HTML, every text in it escaped; numbers are shown with five significant digits."""
+    """Return a table as HTML, with escaped texts and numbers of five significant digits."""
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    body = "".join("<tr>" + "".join(f"<td>{escape(_shown(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    body = "".join("<tr>" + "".join(f"<td>{escape(_cell_text(cell))}</td>" for cell in row) + "</tr>" for row in rows)
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _shown(cell: Any) -> str:
+def _cell_text(cell: Any) -> str:
     return "" if cell is None else f"{cell:.5g}" if isinstance(cell, float) else str(cell)
 
 
 def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -> None:
-    """Write a table as CSV (UTF-8, numbers in full, None as an empty cell), replacing what was there.
+    """Write a table as CSV (UTF-8, numbers with full precision, None as an empty cell), replacing an existing file.
 
     Raises `OutputError` if it cannot be written.
     """
@@ -40,7 +40,7 @@ def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -
 
 
 def data_frame(header: Sequence[str], rows: Rows) -> Any:
-    """The table as a pandas data frame, its first column the index.
+    """Return the table as a pandas data frame. The first column is the index.
 
     Raises `OutputError` if pandas is not installed.
     """
@@ -49,16 +49,16 @@ def data_frame(header: Sequence[str], rows: Rows) -> Any:
 
 
 def require_optional(
-    package: str, what: str, extra: str = "notebook", error: Callable[[str], PianofitError] = OutputError
+    package: str, feature: str, extra: str = "notebook", error: Callable[[str], PianofitError] = OutputError
 ) -> Any:
-    """A package that only some need, which an `extra` of this one brings.
+    """Import an optional package, which the `extra` installs.
 
-    Raises an `error` if it is not installed, saying how to.
+    Raises `error` with the install command if the package is missing.
     """
     from importlib import import_module
 
     try:
         return import_module(package)
     except ImportError as missing:
-        said = f"{what} needs {package}, which is not installed; pip install 'pianofit[{extra}]'"
-        raise error(said) from missing
+        message = f"{feature} needs {package}, which is not installed; pip install 'pianofit[{extra}]'"
+        raise error(message) from missing

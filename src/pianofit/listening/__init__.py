@@ -1,5 +1,6 @@
-"""A blind listening test as a page, of any two sets of sounds: what is asked, what may be heard, and what came of it.
+"""Blind listening tests of two sets of sounds.
 
-`page` is the test itself, of sounds in memory. `sounds` makes one of two folders of files, whose sounds pass the gates
-of `gates`; `mushra` writes the same sounds as a webMUSHRA experiment; `result` counts answers.
+`page` writes the test of sounds in memory as an HTML page. `sounds` makes a test of two folders, `pairs` finds their
+pairs, and `artefact_checks` rejects faulty sounds. `mushra` writes the same sounds as a webMUSHRA experiment. `result`
+counts answers.
 """

@@ -1,7 +1,7 @@
-"""What may be heard in a test: sounds that betray by a fault which of the two they are, are refused.
+"""Checks of the sounds of a listening test: artefacts that would reveal the identity of a sound.
 
-A gate takes a recording and returns what it measured where that is too much, with what to do, or nothing. The limits
-lie between what whole recordings of pianos have and what a fault of each kind has.
+A check returns None, or a message with the measured value, its limit and what to do. The limits lie between the values
+of intact piano recordings and those of recordings with an artefact.
 """
 
 from __future__ import annotations
@@ -12,77 +12,76 @@ import numpy as np
 
 from ..recording.recording import INSIDE, Recording
 
-__all__ = ["GATES", "clicks", "clipping", "failures", "onset_in_file", "offset"]
+__all__ = ["CHECKS", "clicks", "clipping", "failures", "onset_in_file", "offset"]
 
-# Offset over the peak, 1: −40 dB. Where a sound begins and ends it is a step, a tick; whole recordings have 0.0008.
+# Offset over peak, 1: −40 dB. An offset is audible as a click at both ends. Intact recordings have at most 0.0008.
 OFFSET = 0.01
-# A jump over the rms of what surrounds it, 1: of noise no sample in a million exceeds 5 and whole recordings have at
-# most 6.1; a jump of one sample by −40 dB of the peak has some hundred on a note that has faded.
+# Jump over the rms of its surroundings, 1. In noise, not one sample in a million exceeds 5; intact recordings have at
+# most 6.1. A jump of one sample by −40 dB of the peak has about 100 at the end of a decay.
 JUMP = 12.0
-# A jump over the peak, 1: −60 dB; below, it is in the noise of a room.
+# Jump over peak, 1: −60 dB. Smaller jumps are masked by the noise of a room.
 LEAST_JUMP = 1e-3
-# What surrounds a sample, s, and the part of it next to the sample that is left out, samples: a jump's own width.
-AROUND, OWN = 0.01, 4
-# After the onset, s, in which the hammer itself makes jumps.
-HAMMER = 0.05
+# Surroundings on each side of a sample, s, and the width of a jump, which is excluded from them, samples.
+AROUND, JUMP_WIDTH = 0.01, 4
+# Time after the onset in which the hammer contact itself causes jumps, s.
+CONTACT_TIME = 0.05
 
 
 def clipping(recording: Recording) -> str | None:
-    """Samples cut off at an extreme: a single flat run is a distortion that the other sound does not have."""
+    """Clipped samples. The other sound of the pair does not have this distortion."""
     if recording.clipped:
-        return f"{recording.clipped} samples are cut off, none may be; record it with less gain"
+        return f"{recording.clipped} samples are clipped, the limit is 0; record it with less gain"
     return None
 
 
 def offset(recording: Recording) -> str | None:
-    """A mean that is not zero."""
+    """Mean of the samples."""
     share = abs(recording.dc) / float(np.abs(recording.frames).max())
     if share > OFFSET:
-        return f"the offset is {share:.3g} of the peak, at most {OFFSET:g} may be; filter it out"
+        return f"the offset is {share:.3g} of the peak, the limit is {OFFSET:g}; remove it with a high-pass filter"
     return None
 
 
 def onset_in_file(recording: Recording) -> str | None:
-    """An onset that is not in the file."""
+    """Files that begin after the onset."""
     share = float(np.abs(recording.samples[0]) / np.abs(recording.samples).max())
     if share > INSIDE:
-        return f"the first sample is {share:.3g} of the peak, at most {INSIDE:g} may be: it begins inside the note"
+        found = f"the first sample is {share:.3g} of the peak, the limit is {INSIDE:g}"
+        return f"{found}: the file begins inside the note; use a complete recording"
     return None
 
 
 def clicks(recording: Recording) -> str | None:
-    """Jumps after the attack, by the third difference, which partials hardly have."""
+    """Jumps after the attack, detected by the third difference, in which partials are weak."""
     peak, around = float(np.abs(recording.frames).max()), round(AROUND * recording.rate)
-    begin = recording.onset + round(HAMMER * recording.rate)
+    begin = recording.onset + round(CONTACT_TIME * recording.rate)
     for frame in recording.frames:
         jump = np.abs(np.diff(frame[begin:], 3))
         if len(jump) <= 2 * around:
             continue
-        over = jump / np.maximum(_surroundings(jump, around), LEAST_JUMP * peak / JUMP)
+        over = jump / np.maximum(_surrounding_rms(jump, around), LEAST_JUMP * peak / JUMP)
         worst = int(np.argmax(over))
         if over[worst] > JUMP:
             at = (begin + worst) / recording.rate
-            return (
-                f"a jump at {at:.3f} s is {over[worst]:.3g} times what surrounds it, at most {JUMP:g} may be; mend it"
-            )
+            return f"a jump at {at:.3f} s is {over[worst]:.3g} times its surroundings, limit {JUMP:g}; repair the file"
     return None
 
 
-def _surroundings(values: np.ndarray, around: int) -> np.ndarray:
-    """The rms of `values` [samples] around each, without itself [samples]."""
+def _surrounding_rms(values: np.ndarray, around: int) -> np.ndarray:
+    """Rms of the surroundings of each of the `values` [samples], without the value itself."""
     from scipy.ndimage import uniform_filter1d
 
-    wide, near = 2 * around + 1, 2 * OWN + 1
+    wide, near = 2 * around + 1, 2 * JUMP_WIDTH + 1
     sums = wide * uniform_filter1d(values**2, wide) - near * uniform_filter1d(values**2, near)
     return np.sqrt(np.maximum(sums, 0) / (wide - near))
 
 
-GATES: dict[str, Callable[[Recording], str | None]] = {
+CHECKS: dict[str, Callable[[Recording], str | None]] = {
     "clipping": clipping, "offset": offset, "onset": onset_in_file, "clicks": clicks,
 }  # fmt: skip
 
 
 def failures(recording: Recording) -> list[str]:
-    """What each gate that the recording fails says, with its name."""
-    found = {name: gate(recording) for name, gate in GATES.items()}
-    return [f"gate {name}: {words}" for name, words in found.items() if words]
+    """Messages of all checks that the recording fails, each with the name of its check."""
+    messages = {name: check(recording) for name, check in CHECKS.items()}
+    return [f"check {name}: {message}" for name, message in messages.items() if message]

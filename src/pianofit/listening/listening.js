@@ -1,18 +1,18 @@
-// The blind test. What is heard in each question was drawn before the page was written; what the sounds were is said
-// only at the end, and in the file of answers.
+// Blind test. The sounds of each question were drawn before the page was written. Their identity is shown only at the
+// end, and saved in the file of answers.
 (() => {
   const byId = (id) => document.getElementById(id);
   const test = JSON.parse(byId("test").textContent);
   const bytes = Uint8Array.from(atob(test.hidden), (letter) => letter.charCodeAt(0));
-  const hidden = JSON.parse(new TextDecoder().decode(bytes)); // not for the eye of who looks at the page's source
+  const hidden = JSON.parse(new TextDecoder().decode(bytes)); // not readable in the source of the page
   const trials = hidden.trials, roles = ["reference", "a", "b"];
   const words = {
     abx: { asked: "Which is X?", named: "X", reference: "Sound X", letter: "x", a: "X is A", b: "X is B" },
     nearer: { asked: "Which is nearer the reference?", named: "the reference", reference: "Reference", letter: "r", a: "A is nearer", b: "B is nearer" },
   };
-  let at = -1, deck = null, heard = null, begun = 0, started = "";
+  let at = -1, deck = null, played = null, begun = 0, started = "";
 
-  const own = () => words[trials[at].kind];
+  const wording = () => words[trials[at].kind];
 
   function begin() {
     started = new Date().toISOString();
@@ -26,31 +26,31 @@
     at += 1;
     if (at === trials.length) { end(); return; }
     deck = new Deck(() => roles.map((role) => test.sounds[trials[at][role]]), show);
-    heard = { reference: 0, a: 0, b: 0 };
+    played = { reference: 0, a: 0, b: 0 };
     begun = performance.now();
     byId("count").textContent = `Question ${at + 1} of ${trials.length}`;
     byId("progress").value = at / trials.length;
-    for (const id of ["asked", "reference", "letter"]) byId(id).textContent = own()[id];
-    for (const role of ["a", "b"]) byId(`answer-${role}`).querySelector("span").textContent = own()[role];
-    say(`Listen to ${own().named}, A and B; then answer.`);
+    for (const id of ["asked", "reference", "letter"]) byId(id).textContent = wording()[id];
+    for (const role of ["a", "b"]) byId(`answer-${role}`).querySelector("span").textContent = wording()[role];
+    say(`Listen to ${wording().named}, A and B; then answer.`);
     show();
     byId("trial").focus();
   }
 
   function hear(index) {
     deck.chosen = index;
-    heard[roles[index]] += 1;
+    played[roles[index]] += 1;
     deck.start(0);
     show();
-    say(`Playing ${index ? "ABC"[index - 1] : own().named}`);
+    say(`Playing ${index ? "ABC"[index - 1] : wording().named}`);
   }
 
-  const complete = () => roles.every((role) => heard[role] > 0);
+  const complete = () => roles.every((role) => played[role] > 0);
 
   function answer(role) {
-    if (!complete()) { say(`Listen to ${own().named}, A and B first.`); return; }
+    if (!complete()) { say(`Listen to ${wording().named}, A and B first.`); return; }
     Object.assign(trials[at], {
-      chosen: role, played: { ...heard }, seconds: Math.round(performance.now() - begun) / 1000,
+      chosen: role, played: { ...played }, seconds: Math.round(performance.now() - begun) / 1000,
     });
     next();
   }
@@ -58,7 +58,7 @@
   function show() {
     roles.forEach((role, index) => {
       byId(`hear-${role}`).setAttribute("aria-pressed", String(deck.playing && deck.chosen === index));
-      byId(`hear-${role}`).classList.toggle("heard", heard[role] > 0);
+      byId(`hear-${role}`).classList.toggle("played", played[role] > 0);
     });
     for (const role of ["a", "b"]) byId(`answer-${role}`).setAttribute("aria-disabled", String(!complete()));
   }
@@ -94,18 +94,18 @@
   }
 
   function end() {
-    const found = results();
+    const outcome = results();
     byId("trial").hidden = true;
     byId("outcome").hidden = false;
     const body = byId("outcome").querySelector("tbody");
-    for (const { condition, hits, of, p } of found.conditions) {
+    for (const { condition, hits, of, p } of outcome.conditions) {
       const line = body.insertRow();
       for (const text of [condition, `${hits} of ${of}`, p === null ? "–" : p.toFixed(3)]) line.insertCell().textContent = text;
     }
-    const text = JSON.stringify(found, null, 2);
+    const text = JSON.stringify(outcome, null, 2);
     byId("save").href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
     byId("save").focus();
-    window.pianofitListening.results = found;
+    window.pianofitListening.results = outcome;
   }
 
   const keys = {
@@ -115,7 +115,7 @@
   document.addEventListener("keydown", (event) => {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     if (byId("trial").hidden || event.ctrlKey || event.altKey || event.metaKey || event.repeat || !keys[key]) return;
-    if (key === " " && event.target.matches("button")) return; // a button's own key: it is pressed
+    if (key === " " && event.target.matches("button")) return; // the browser presses the button
     event.preventDefault();
     keys[key]();
   });

@@ -1,7 +1,7 @@
-"""The same sounds as an experiment for webMUSHRA: graded against the reference, and paired.
+"""Listening test for webMUSHRA: sounds are graded against the reference, and compared in pairs.
 
 webMUSHRA (Schoeffler et al., "webMUSHRA – A comprehensive framework for web-based listening tests", Journal of Open
-Research Software 6, 2018) is a server of its own. What stands here is what it reads: a configuration and sounds.
+Research Software 6, 2018) is a separate server. This module writes its configuration and its sounds.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from .page import TestSound
 
 __all__ = ["write_experiment"]
 
-# Where webMUSHRA looks for what is ours, from its own root.
+# Folder of the sounds, relative to the root of webMUSHRA.
 SOUNDS = "configs/resources/pianofit"
 GRADE = "Grade each sound against the reference. One of them is the reference itself."
 PAIR = "Which of the two is the reference?"
-# webMUSHRA's own block, samples; its examples have this.
+# Block size, samples, as in the examples of webMUSHRA.
 BUFFER = 2048
 
 
 def write_experiment(folder: Path, clips: list[tuple[TestSound, Clip]], reference: str) -> None:
-    """Write `configs/pianofit.yaml` and the sounds, to be copied into a webMUSHRA.
+    """Write `configs/pianofit.yaml` and the sounds, to be copied into webMUSHRA.
 
     Parameters
     ----------
-    folder : is made.
-    reference : what the references are; a page of BS.1116 and a forced pair for each other sound of a case.
+    folder : created if needed.
+    reference : name of the set whose sounds are the references. Each case has a page of BS.1116, and a forced pair for
+        each other sound.
 
     Raises `OutputError` if a file cannot be written.
     """
@@ -39,18 +40,18 @@ def write_experiment(folder: Path, clips: list[tuple[TestSound, Clip]], referenc
     try:
         sounds.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{printable(sounds)}: no folder can be made ({error.strerror}); choose another") from None
+        raise OutputError(f"{printable(sounds)}: cannot create the folder ({error.strerror}); choose another") from None
     cases: dict[str, dict[str, str]] = {}
-    for heard, clip in clips:
+    for sound, clip in clips:
         replace_file(sounds / f"{clip.name}.wav", clip.wav)
-        cases.setdefault(heard.case, {})[heard.what] = f"{SOUNDS}/{clip.name}.wav"
+        cases.setdefault(sound.case, {})[sound.what] = f"{SOUNDS}/{clip.name}.wav"
     pages: list[Any] = ["random"]
     for n, case in enumerate(cases.values(), 1):
         others = {f"C{k}": file for k, file in enumerate((f for what, f in case.items() if what != reference), 1)}
-        own = case[reference]
-        pages.append(_page("bs1116", f"grade{n}", GRADE, own, others, createAnchor35=False, createAnchor70=False))
+        standard = case[reference]
+        pages.append(_page("bs1116", f"grade{n}", GRADE, standard, others, createAnchor35=False, createAnchor70=False))
         pages += [
-            _page("paired_comparison", f"pair{n}{name}", PAIR, own, {name: file}) for name, file in others.items()
+            _page("paired_comparison", f"pair{n}{name}", PAIR, standard, {name: file}) for name, file in others.items()
         ]
     end = {"type": "finish", "name": "Thank you", "content": "Your answers are saved.", "writeResults": True}
     settings = {

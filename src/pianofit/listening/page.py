@@ -1,8 +1,8 @@
-"""The page of a blind test: which of two sounds is a third, or is nearer to it.
+"""Page of a blind listening test: which of two sounds is the third, or is nearer to it.
 
-The order of the questions and the sides of the sounds are drawn by a seed before the page is written. The page holds
-the sounds under names that say nothing, and the order and what they are in a form that no eye reads; a key beside it
-says both in plain words. All sounds are equally loud. The answers are saved as JSON.
+A seed determines the order of the questions and the sides of the sounds before the page is written. The page names
+sounds by random numbers, and has their identity in an encoded form. A key next to the page has it as plain text. All
+sounds are equally loud. The page saves the answers as JSON.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from ..report.sound import Clip, make_clips
 
 __all__ = ["ANSWERS", "TestSound", "Question", "write_listening"]
 
-# Schema of the answers that a page saves, and of its key.
+# Schema of saved answers and of keys.
 ANSWERS = 2
-# What one question takes a listener, min.
+# Time that a listener needs for one question, min.
 MINUTES = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class TestSound:
-    """A sound of the test, which is no other however alike."""
+    """One sound of the test. Equal samples do not make two sounds equal."""
 
-    what: str  # what it is, hidden until the end
-    case: str  # which note or stroke, which all sounds of a question share
+    what: str  # name of the set, hidden until the end
+    case: str  # note or stroke; all sounds of a question have the same
     samples: np.ndarray  # [samples] or [channels, samples], all sounds with the same onset
 
 
 class Question(NamedTuple):
-    """About a reference and a pair, asked so many times.
+    """A question about a reference and a pair, repeated `times` times.
 
-    `nearer`: which of the pair is nearer the reference? With the reference in the pair: which is the reference, hidden?
-    `abx`: which of the pair is X? X is one of them, drawn for each time by the seed, whatever `reference` is.
+    `nearer`: which sound of the pair is nearer to the reference? If the pair contains the reference, it is hidden.
+    `abx`: which sound of the pair is X? X is drawn from the pair for each repetition; `reference` is not used.
     """
 
     reference: TestSound
@@ -52,18 +52,18 @@ class Question(NamedTuple):
 
     @property
     def condition(self) -> str:
-        """What is counted together, in words."""
-        first, second = (one.what for one in self.pair)
+        """Name of the condition. Answers of one condition are counted together."""
+        first, second = (sound.what for sound in self.pair)
         if self.kind == "abx":
             return f"ABX: {first} or {second}"
         if self.reference not in self.pair:
             return f"nearer to {self.reference.what}: {first} than {second}"
-        other = next(one for one in self.pair if one is not self.reference)
-        return f"hidden reference: {self.reference.what} beside {other.what}"
+        other = next(sound for sound in self.pair if sound is not self.reference)
+        return f"hidden reference: {self.reference.what} next to {other.what}"
 
 
 class Trial(NamedTuple):
-    """One question as it is put."""
+    """One repetition of a question."""
 
     question: Question
     reference: TestSound
@@ -72,7 +72,7 @@ class Trial(NamedTuple):
 
     @property
     def hit(self) -> TestSound:
-        """Which answer counts: the reference where it is one of the two, or else the first of the pair."""
+        """The answer that is counted: the reference if it is in the pair, else the first of the pair."""
         return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
 
 
@@ -80,32 +80,32 @@ def write_listening(
     path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
     about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
 ) -> list[tuple[TestSound, Clip]]:  # fmt: skip
-    """Write the page, and the key to it.
+    """Write the page and its key.
 
     Parameters
     ----------
-    onset : of all sounds, s.
-    seed : of the order, the sides, every X and the names the sounds go by.
-    program : what made it, for the footer and the file of answers.
-    about : what is tested, in words that follow "A blind listening test on".
-    origin : what the references are, in words that follow "The references are".
-    key : a JSON file that says what the page hides: by name what each sound is, and the trials in their order.
-    seconds : what is heard of each sound at most, s.
+    onset : onset in all sounds, s.
+    seed : seed of the order, the sides, every X and the names of the sounds.
+    program : name of the program, for the footer and the saved answers.
+    about : subject of the test, follows "A blind listening test on".
+    origin : origin of the references, follows "The references are".
+    key : path of a JSON file with the identity of each sound by name, and the trials in their order.
+    seconds : maximum length of each sound, s.
 
     Returns
     -------
-    The sounds, and each as it is heard, under the name it goes by.
+    The sounds, each with its clip as it is played.
 
     Raises `OutputError` if a file cannot be written.
     """
     draw = np.random.default_rng(seed)
-    sounds = list(dict.fromkeys(h for q in questions for h in (q.reference, *q.pair)))
-    names = {h: f"s{n:03d}" for h, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
-    trials = list(_drawn(questions, draw))
-    clips = make_clips({name: h.samples for h, name in names.items()}, rate, onset, seconds=seconds)
+    sounds = list(dict.fromkeys(sound for q in questions for sound in (q.reference, *q.pair)))
+    names = {sound: f"s{n:03d}" for sound, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
+    trials = list(_draw_trials(questions, draw))
+    clips = make_clips({name: sound.samples for sound, name in names.items()}, rate, onset, seconds=seconds)
     facts = {"schema": ANSWERS, "program": program, "version": __version__, "seed": seed}
     hidden: dict[str, Any] = {
-        "sounds": {name: {"what": h.what, "case": h.case} for h, name in names.items()},
+        "sounds": {name: {"what": sound.what, "case": sound.case} for sound, name in names.items()},
         "trials": [
             {"condition": t.question.condition, "kind": t.question.kind}
             | {role: names[getattr(t, role)] for role in ("reference", "a", "b", "hit")}
@@ -127,8 +127,8 @@ def write_listening(
     return [*zip(sounds, clips, strict=True)]
 
 
-def _drawn(questions: list[Question], draw: np.random.Generator) -> Iterator[Trial]:
-    """The trials in their order, those of one kind together: what is asked changes once."""
+def _draw_trials(questions: list[Question], draw: np.random.Generator) -> Iterator[Trial]:
+    """Yield the trials in random order, first all `abx`, then all `nearer`."""
     for kind in ("abx", "nearer"):
         asked = [question for question in questions if question.kind == kind for _ in range(question.times)]
         for n in draw.permutation(len(asked)):

@@ -1,7 +1,7 @@
-"""The sounds that are compared: files of one name in all folders, or recordings with the sounds of their fits.
+"""Pairs of sounds for a listening test: files of the same name, or recordings with the sounds of their fits.
 
-A fit names its recordings by the hash of their content, so that recordings and fits are paired wherever they lie and
-whatever they are called.
+A fit identifies its recordings by the hash of their content. Recordings and fits are therefore paired in any folder and
+under any name.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ..report.save import stroke_names
 
 __all__ = ["Place", "load_pair", "pairs_of"]
 
-# Names at the most: with 4 s in stereo at 48 kHz a page of 160 MB, which browsers still open.
-MOST = 80
-FITS = ("keys/*/fit.json", "*/fit.json", "fit.json")
+# Maximum number of pairs. With 4 s in stereo at 48 kHz the page has 160 MB, which browsers still open.
+MAX_PAIRS = 80
+FIT_PATTERNS = ("keys/*/fit.json", "*/fit.json", "fit.json")
 
 
 class Place(NamedTuple):
-    """A sound file, and the channel that is used."""
+    """A sound file and the channel to use."""
 
     path: Path
     channel: str = "average"
@@ -34,21 +34,22 @@ class Place(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The sound of one recording's fit."""
+    """The sound of a fit to one recording."""
 
-    name: str  # of the recording
-    channel: str  # of the recording, that was fitted
+    name: str  # name of the recording
+    channel: str  # channel of the recording that was fitted
     sound: Path
 
 
-Fits = dict[str, Fit]  # by the hash of the recording
-Group = list[Place]  # of one name, a sound of each side
+Fits = dict[str, Fit]  # by hash of the recording
+Group = list[Place]  # sounds of one name, one from each side
 
 
 def pairs_of(sides: Sequence[Path]) -> tuple[dict[str, Group], list[str]]:
-    """The sounds of each name that all sides have, and the names that some lack.
+    """Return the sounds by name, and the names that are missing on some side.
 
-    Raises `RecordingError` where no name is common, or a folder cannot be read; `FitError` for a damaged `fit.json`.
+    Raises `RecordingError` if the sides have no common name or a folder cannot be read, `FitError` for an invalid
+    `fit.json`.
     """
     if not any(side.is_dir() for side in sides):
         return {printable(sides[0].stem): [Place(side) for side in sides]}, []
@@ -56,43 +57,43 @@ def pairs_of(sides: Sequence[Path]) -> tuple[dict[str, Group], list[str]]:
     found = [_by_name(side) for side in sides] if not any(fits) else _by_content(sides, fits)
     names = sorted(set.intersection(*map(set, found)))
     if not names:
-        by_name = "no file name in common; pairs are by name"
-        by_fit = "the fits are of other recordings; pairs are by the recordings' content"
+        by_name = "no file name in common; give the files of a pair the same name"
+        by_fit = "the fits do not contain these recordings (compared by content); give the recordings that were fitted"
         raise RecordingError(f"{printable(sides[0])} and {printable(sides[1])}: {by_fit if any(fits) else by_name}")
-    if len(names) > MOST and not any(fits):
-        raise RecordingError(f"{printable(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
+    if len(names) > MAX_PAIRS and not any(fits):
+        raise RecordingError(f"{printable(sides[0])}: {len(names)} pairs are more than {MAX_PAIRS}; give fewer files")
     alone = sorted(set.union(*map(set, found)) - {*names})
     return {printable(name): [side[name] for side in found] for name in names}, [printable(name) for name in alone]
 
 
 def load_pair(group: Group) -> list[Recording]:
-    """The sounds of a name; a recording whose fit is in mono is used in mono too."""
+    """Load the sounds of a name. If a fit is mono, its recording is averaged to mono."""
     loaded = [load_recording(place.path, channel=place.channel) for place in group]
-    mono = any(place.fitted and len(one.frames) == 1 for place, one in zip(group, loaded, strict=True))
-    return [replace(one, frames=one.samples[None]) if mono else one for one in loaded]
+    mono = any(place.fitted and len(sound.frames) == 1 for place, sound in zip(group, loaded, strict=True))
+    return [replace(sound, frames=sound.samples[None]) if mono else sound for sound in loaded]
 
 
 def _by_name(folder: Path) -> dict[str, Place]:
-    """The sounds of a folder by name, without the ending."""
+    """Sounds of a folder by name, without extension."""
     if not folder.is_dir():
-        raise RecordingError(f"{printable(folder)}: is no folder; give folders only, or files only")
+        raise RecordingError(f"{printable(folder)}: is not a folder; give folders only, or files only")
     found: dict[str, Place] = {}
     try:
         for path in sorted(path for path in folder.iterdir() if is_sound(path.name)):
             if path.stem in found:
                 raise RecordingError(
-                    f"{printable(path)}: {printable(found[path.stem].path.name)} has this name too; remove one"
+                    f"{printable(path)}: {printable(found[path.stem].path.name)} has the same name; remove one"
                 )
             found[path.stem] = Place(path)
     except OSError as error:
         raise RecordingError(f"{printable(folder)}: cannot be read ({error.strerror}); check it") from None
     if not found:
-        raise RecordingError(f"{printable(folder)}: holds no sound; the formats are {readable_formats()}")
+        raise RecordingError(f"{printable(folder)}: contains no sound file; readable formats: {readable_formats()}")
     return found
 
 
 def _by_content(sides: Sequence[Path], fits: Sequence[Fits]) -> list[dict[str, Place]]:
-    """The sounds of every side by the name of the recording that they are, or that they were fitted to."""
+    """Sounds of every side, by name of the recording that they are, or that they were fitted to."""
     wanted = {digest: fit for fitted in fits for digest, fit in fitted.items()}
     stems = [fit.name for fit in wanted.values()]
     names = {digest: f.name if stems.count(f.name) == 1 else f"{f.name} {digest[:6]}" for digest, f in wanted.items()}
@@ -108,7 +109,7 @@ def _by_content(sides: Sequence[Path], fits: Sequence[Fits]) -> list[dict[str, P
 
 
 def _files(side: Path) -> Iterator[Path]:
-    """All sounds below a folder, without those that fits have written; or a file itself."""
+    """Yield all sounds below a folder, except those of fits; or the file itself."""
     if not side.is_dir():
         yield side
         return
@@ -120,13 +121,13 @@ def _files(side: Path) -> Iterator[Path]:
 
 
 def _fits_in(side: Path) -> Fits:
-    """The sounds of all fits in a folder."""
-    files = next((found for form in FITS if (found := sorted(side.glob(form)))), [])
+    """Sounds of all fits in a folder, by hash of the recording."""
+    files = next((found for form in FIT_PATTERNS if (found := sorted(side.glob(form)))), [])
     return {digest: fit for file in files for digest, fit in _sounds_of(file)}
 
 
 def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:
-    """By the hash of each recording of a fit the sound that was fitted to it."""
+    """Yield hash and fitted sound of each recording of a fit."""
     document = load_json(file, LARGEST_FIT, "a fit.json", "fit the recordings again")
     rows = document.get("recordings") if isinstance(document, dict) else None
     rows = [

@@ -1,4 +1,4 @@
-"""What came of a listening test: how often listeners were right, and how sure that is."""
+"""Count the answers of listening tests: hits by condition, with intervals and p values."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .page import ANSWERS
 
 __all__ = ["Count", "count_answers"]
 
-# Of a file of answers, bytes: thousands of trials have less.
+# Largest file of answers, bytes. Thousands of trials need less.
 LARGEST_FILE = 2**24
-# Of the intervals.
+# Confidence of the intervals.
 CONFIDENCE = 0.95
-WAY_OUT = "give what a page of pianofit listen or pianofit reproduce saved"
+HINT = "give a file that a page of pianofit listen or pianofit reproduce saved"
 
 
 class Count(NamedTuple):
@@ -31,21 +31,21 @@ class Count(NamedTuple):
 
 
 def count_answers(files: Sequence[Path]) -> list[Count]:
-    """Counts over all files, condition by condition.
+    """Count the answers of all files by condition.
 
-    Raises `ParameterError` where a file holds no answers, or two hold the same.
+    Raises `ParameterError` if a file has no answers, or two files have the same.
     """
     from scipy.stats import binomtest
 
     hits: dict[str, list[bool]] = {}
-    seen: dict[str, Path] = {}
+    files_by_content: dict[str, Path] = {}
     for path in files:
         trials, text = _trials(path)
-        if text in seen:
+        if text in files_by_content:
             raise ParameterError(
-                f"{printable(path)}: holds the same answers as {printable(seen[text])}; give each once"
+                f"{printable(path)}: has the same answers as {printable(files_by_content[text])}; give each file once"
             )
-        seen[text] = path
+        files_by_content[text] = path
         for condition, hit in trials:
             hits.setdefault(condition, []).append(hit)
     counts = []
@@ -57,24 +57,24 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 
 
 def _trials(path: Path) -> tuple[list[tuple[str, bool]], str]:
-    """Of each answer what was asked and whether it was a hit; and the file's content in one form."""
+    """Return condition and hit of each answer, and the content of the file in a normal form."""
     where = printable(path)
-    content = load_json(path, LARGEST_FILE, "answers of a listening test", WAY_OUT, ParameterError)
+    content = load_json(path, LARGEST_FILE, "answers of a listening test", HINT, ParameterError)
     if not isinstance(content, dict) or content.get("schema") != ANSWERS or not isinstance(content.get("trials"), list):
         found = short_repr(content.get("schema")) if isinstance(content, dict) else "none"
-        raise ParameterError(f"{where}: no answers of a listening test (schema {found}, must be {ANSWERS}); {WAY_OUT}")
+        raise ParameterError(f"{where}: not answers of a listening test (schema {found}, must be {ANSWERS}); {HINT}")
     trials = [_trial(trial, f"{where}: trials[{n}]") for n, trial in enumerate(content["trials"])]
     if not trials:
-        raise ParameterError(f"{where}: no question was answered; {WAY_OUT}")
+        raise ParameterError(f"{where}: has no answers; {HINT}")
     return trials, json.dumps(content, sort_keys=True)
 
 
 def _trial(trial: Any, where: str) -> tuple[str, bool]:
     if not isinstance(trial, dict):
-        raise ParameterError(f"{where} is {short_repr(trial)}, no answer; {WAY_OUT}")
+        raise ParameterError(f"{where} is {short_repr(trial)}, not an answer; {HINT}")
     condition, chosen, hit = (trial.get(name) for name in ("condition", "chosen", "hit"))
     if not (isinstance(condition, str) and chosen in ("a", "b") and hit in ("a", "b")):
         raise ParameterError(
-            f"{where}: condition is {short_repr(condition)}, chosen {short_repr(chosen)}, hit {short_repr(hit)}; {WAY_OUT}"
+            f"{where}: condition is {short_repr(condition)}, chosen {short_repr(chosen)}, hit {short_repr(hit)}; {HINT}"
         )
     return printable(condition), chosen == hit
