@@ -188,7 +188,6 @@ def test_a_name_is_wrong_from_a_semitone_on():
     [
         (["--workers", "0"], 1, "--workers 0"),
         (["--memory", "0.1"], 1, "--memory 0.1"),
-        (["--retry", "all"], 2, "'all'"),
         (["--files", "post"], 2, "'post'"),
         (["--seed", "-1"], 1, "seed=-1"),
         (["--pattern", "{note}"], 1, "--pattern"),

@@ -159,7 +159,7 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
     assert json.loads(done.stdout)["guesses"] == 1
     for more, message in (
         (["a.cpp"], ".dsp"),
-        (["b.dsp", "--velocity-layers", "4", "--samples", "wav"], "--layers, --samples"),
+        (["b.dsp", "--velocity-layers", "4", "--samples", "wav"], "--velocity-layers, --samples"),
     ):
         refused = CliRunner().invoke(app, [*words, str(tmp_path / more[0]), *more[1:]])
         assert refused.exit_code == 1
