@@ -7,8 +7,8 @@
 The recordings are in ../shared/recordings and ../shared/disklavier, or where PIANOFIT_RECORDINGS says (folders
 separated by a colon), each with a `recordings.csv`. For every note each layer is left out in turn and predicted from
 the others, as `pianofit cross-validate` does: rms over partials, dB, one gain removed. A layer is scored if it is
-between others, at least `FEWEST` partials are compared, and three or more layers are left to fit; the rest is printed, in
-brackets. Where a machine played the key (a column `blow` with MIDI velocities), its layers share one gain.
+between others, at least `FEWEST` partials are compared, and three or more layers are left to fit; the rest is
+printed in brackets. Where a machine played the key (a column `blow` with MIDI velocities), its layers share one gain.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ Every sound is brought to one start and one gain with the recording, the same wa
 - level: rms over partials of the levels (energy of the first 0.35 s under exp(-8 t)), dB, the mean taken out
 - envelope: mean |dB| of the partials' envelopes over 3 s, while the recording's is above its noise, one gain taken out
 - MR: multi-resolution STFT, spectral convergence plus L1 of log magnitudes (Yamamoto et al. 2020), K-weighted gain
-- realism: the mean of three log-mel distances, dB (`pianofit.modal_response.distance`); with ../shared/tools/realism.py,
-  the distance of that program is the witness
+- realism: the mean of three log-mel distances, dB (`pianofit.modal_response.distance`); with
+  ../shared/tools/realism.py, the distance of that program is the witness
 """
 
 from __future__ import annotations

@@ -129,8 +129,8 @@ def _commands(document: dict[str, Any]) -> str:
 
 A made note of {effort["seconds"]:g} s; the joint fit has {effort["recordings"]} recordings of it, the paper's recipe
 {evaluations:,} evaluations by annealing on the demo's recording. Each runs in a process of its own, Python's start and
-all imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has an
-empty cache.
+all imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has
+an empty cache.
 
 {chr(10).join(lines)}
 
