@@ -79,19 +79,19 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
     return {
         "`SPREAD`, all of the felt": (_Felt(), "spread", every),
-        "`HAMMER_SPREAD`, all": (priors, "HAMMER_SPREAD", every),
+        "`HAMMER_SPREAD`, all": (priors, "HAMMER_SD", every),
         "`VELOCITY`": (priors, "VELOCITY", plain),
-        "`VELOCITY_SPREAD`": (priors, "VELOCITY_SPREAD", plain),
-        "`STRING_SPREAD`, all": (priors, "STRING_SPREAD", every),
+        "`VELOCITY_SPREAD`": (priors, "VELOCITY_SD", plain),
+        "`STRING_SPREAD`, all": (priors, "STRING_SD", every),
         "`GAIN`": (priors, "GAIN", plain),
-        "`GAINS_APART`, one gain": (priors, "GAINS_APART", place(0)),
-        "`GAINS_APART`, levelled": (priors, "GAINS_APART", place(1)),
+        "`GAINS_APART`, one gain": (priors, "GAIN_DEVIATION", place(0)),
+        "`GAINS_APART`, levelled": (priors, "GAIN_DEVIATION", place(1)),
         "`ONSET`": (priors, "ONSET", plain),
         "`ONSET_PERIODS`": (priors, "ONSET_PERIODS", plain),
         "`STUDENT`": (priors, "STUDENT", plain),
         "`PATH`, median": (priors, "PATH", place(0)),
         "`PATH`, spread": (priors, "PATH", place(1)),
-        "`ABSENT_MARGIN`": (priors, "ABSENT_MARGIN", plain),
+        "`ABSENT_MARGIN`": (priors, "CENSORED_MARGIN", plain),
         "`LEVEL`, σ": (priors, "LEVEL", median(0)),
         "`LEVEL`, A": (priors, "LEVEL", median(1)),
         "`LEVEL`, ℓ": (priors, "LEVEL", median(2)),
@@ -111,7 +111,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FIRST_STEPS`": (multistart, "FIRST_STEPS", plain),
         "`SECOND`": (multistart, "SECOND", plain),
         "`SECOND_FLOOR`, of σ": (multistart, "SECOND_FLOOR", plain),
-        "`ONE_VALLEY`": (multistart, "ONE_VALLEY", plain),
+        "`ONE_VALLEY`": (multistart, "MERGE_DISTANCE", plain),
         "`GAIN` of a round": (multistart, "GAIN", plain),
         "`RESTARTS`": (multistart, "RESTARTS", plain),
         "`REACH`": (multistart, "REACH", plain),
@@ -127,12 +127,12 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`NEGATIVE`": (marginal_curvature, "NEGATIVE", plain),
         "`WITHIN`": (refine, "WITHIN", plain),
         "`LEFT`": (refine, "LEFT", plain),
-        "`TRUSTED`": (inharmonicity, "TRUSTED", plain),
+        "`TRUSTED`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
-        "`LONG`": (baseband_fit, "LONG", plain),
-        "`_FAST`": (partials, "_FAST", plain),
-        "`_SLOW`": (partials, "_SLOW", plain),
-        "`_FACTOR`": (partials, "_FACTOR", plain),
+        "`LONG`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),
+        "`_FAST`": (partials, "_FAST_BEAT_FACTOR", plain),
+        "`_SLOW`": (partials, "_SLOW_BEAT_FACTOR", plain),
+        "`_FACTOR`": (partials, "_MAX_LOG_CHANGE", plain),
     }
 
 
@@ -159,7 +159,7 @@ def panel() -> tuple[float, float]:
 def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...]) -> list[float]:
     """Return errors, dB, of the layers whose file names contain one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
-    from pianofit.fit_file import gains_of
+    from pianofit.fit_file import relative_gains
     from pianofit.inference import run_inference
     from pianofit.result import build_result
 
@@ -174,7 +174,7 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
         rest = [j for j in range(len(files)) if j != i]
         fit = build_result(run_inference([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
         notes = [(weight, parts[0]) for weight, parts in zip(fit.weights, fit.minima_notes, strict=True)]
-        errors.append(predict_recording(notes, analyses[i], gains=gains_of(fit.document, 0)).error_db)
+        errors.append(predict_recording(notes, analyses[i], gains=relative_gains(fit.document, 0)).error_db)
     return errors
 
 

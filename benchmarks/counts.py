@@ -53,9 +53,9 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         "compilations": searched[COMPILED], "traces": searched[TRACED], "kept_programs": len(names),
         "physics": sum(name in PHYSICS for name in names),
         "compilations_of_the_result": events[COMPILED] - searched[COMPILED],
-        "strikes": fit.lanes, "contact_rate_Hz": round(float(problem.scene.rate), 6),
-        "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
-        "partials": int(np.asarray(problem.observed.level.detected).sum()), "minima": len(fit.minima.F),
+        "strikes": fit.n_strokes_computed, "contact_rate_Hz": round(float(problem.model_inputs.rate), 6),
+        "modes": problem.cfg.n_modes, "steps": int(problem.model_inputs.steps),
+        "partials": int(np.asarray(problem.observed.level.detected).sum()), "minima": len(fit.minima.nll),
     }  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def _drawn(kind: str, seed: int) -> dict:
     try:
         analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
         fit = run_inference(twin.recordings, analyses, twin.setup, seed=seed)
-        problem, found, document = fit.problem, fit.found, build_result(fit).document
+        problem, found, document = fit.problem, fit.estimate, build_result(fit).document
     except PianofitError as error:
         return about | {"refused": str(error)}
     true = coverage_twins.values_of(kind, twin.truth, problem.reference)
@@ -129,18 +129,18 @@ def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocitie
     from pianofit.errors import FitError
     from pianofit.inference.refine import refine
 
-    best = minima.people.take(np.array([0]))
+    best = minima.candidates.take(np.array([0]))
     z = point_of(problem, best.theta[0], true, velocities)
     try:
         end = refine(problem, z[None], best.phi, best.w)
     except FitError:
         return None
-    return float(minima.F.min() - end.F[0])
+    return float(minima.nll.min() - end.nll[0])
 
 
 def point_of(problem: FitProblem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
     """The truth as a point of the search [size]; what has no truth, and what is held, is as in `best`."""
-    u = problem.unknowns
+    u = problem.parametrisation
     values = np.exp(u.log_values(best))
     values[u.shared :] = velocities
     named = {name: i for i, name in enumerate(u.names)}

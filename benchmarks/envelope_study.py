@@ -65,7 +65,7 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
     ringing = note.ringing
     assert ringing is not None  # noqa: S101
-    rows = [ringing, ringing._replace(participation=None), response.ringing]
+    rows = [ringing, ringing._replace(velocity_gain=None), response.response]
     return dict(zip(COLUMNS, [*map(predict, rows), compare(own, 0.0)], strict=True))
 
 

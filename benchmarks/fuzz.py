@@ -191,12 +191,12 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
     from pianofit.instrument.build import build_instrument
     from pianofit.instrument.collect_fits import find_fits, load_keys
     from pianofit.io.files import encode_wav
-    from pianofit.modal_response_file import encode_knock, ringing_document
+    from pianofit.modal_response_file import encode_knock, modal_response_document
 
     ringing = ringing_note(60).ringing
     assert ringing is not None  # noqa: S101
     fit = fit_document(true_note(60), ERRORS)
-    fit["ringing"] = {"by": "modes", **ringing_document(ringing)}
+    fit["ringing"] = {"by": "modes", **modal_response_document(ringing)}
     wav = {
         "wav": base64.b64encode(encode_wav(ringing.knock, ringing.rate)).decode(),
         "scale": 1.0,
@@ -207,7 +207,7 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
         keys = load_keys(find_fits([library(Path(folder), [48, 60])]))
     instrument = build_instrument(keys, "fuzz")
     instrument["keys"] = instrument["keys"][36:44]
-    instrument["keys"][3]["ringing"] = ringing_document(ringing, whole=True)
+    instrument["keys"][3]["ringing"] = modal_response_document(ringing, whole=True)
     knock = encode_knock(ringing) or b""
     return json.dumps(fit).encode(), knock, json.dumps(note).encode(), json.dumps(instrument).encode()
 
@@ -216,7 +216,7 @@ def kinds() -> dict[str, Kind]:
     """Every format that is read."""
     import pianofit
     from pianofit.batch.manifest import read_keys
-    from pianofit.fit_file import mixture_of, read_fit
+    from pianofit.fit_file import notes_of_minima, read_fit
     from pianofit.instrument import load_instrument
     from pianofit.instrument.collect_fits import load_keys
     from pianofit.listening.result import count_answers
@@ -247,7 +247,7 @@ def kinds() -> dict[str, Kind]:
         },
         "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
         "fit": Kind(
-            "case.json", fit, lambda path: (pianofit.load_note(path), mixture_of(read_fit(path), path)),
+            "case.json", fit, lambda path: (pianofit.load_note(path), notes_of_minima(read_fit(path), path)),
             beside={"knock.flac": knock},
         ),
         "fit-knock": Kind(

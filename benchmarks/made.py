@@ -17,7 +17,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
     The contact is computed at 16 times the file's rate.
     """
     import pianofit
-    from pianofit.model.output_path import OutputPath, filtered, impulse
+    from pianofit.model.output_path import OutputPath, apply_filter, impulse_response
 
     it = pianofit.preset(PRESET)
     frequency = np.geomspace(40.0, 16_000.0, 60)
@@ -29,7 +29,9 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
         strike = pianofit.simulate(
             it.string, hammer, it.geometry, rate=RATE, oversampling=16, quantity="pressure", n_modes=320
         )
-        heard = filtered(strike.waveform(RATE, round(seconds * RATE)), impulse(path, RATE))[: round(seconds * RATE)]
+        heard = apply_filter(strike.waveform(RATE, round(seconds * RATE)), impulse_response(path, RATE))[
+            : round(seconds * RATE)
+        ]
         samples = np.pad(heard, (round(LEAD * RATE), 0))
         samples *= 0.5 / np.abs(samples).max()
         samples += np.random.default_rng(turn).normal(0.0, 1e-5, len(samples))

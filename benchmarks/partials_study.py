@@ -97,7 +97,7 @@ def by_pencil(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
     """Measure by one-component ESPRIT on each baseband, over its first 2 s."""
     x, f0 = recording.samples[recording.onset :], float(np.min(np.diff(truth.frequency, prepend=0)))
     bands = demodulate(x, RATE, truth.frequency, min(0.97 * f0, 100.0), 0.005)
-    cut = bands.cut(0.0, 2.0)
+    cut = bands.frames_within(0.0, 2.0)
     pole, amplitude = np.empty(len(truth.number), np.complex128), np.empty(len(truth.number), np.complex128)
     for i, z in enumerate(bands.z[:, cut]):
         hankel = np.lib.stride_tricks.sliding_window_view(z, len(z) // 3)

@@ -31,12 +31,12 @@ def residual_of(fit) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    level, table = fit.minima.people.level, fit.minima.descent.table
+    level, table = fit.minima.candidates.level, fit.minima.optimiser.table
     phi, w, residual = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual))
 
     def F(x: np.ndarray) -> float:
         log_tau, log_smooth, log_octaves = x
-        at = table._replace(common=np.full_like(np.asarray(table.common), log_tau))
+        at = table._replace(log_tau=np.full_like(np.asarray(table.log_tau), log_tau))
         return float(objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w))
 
     start = np.log([4.0, 8.0, 0.7])
@@ -53,7 +53,7 @@ def main() -> None:
             recordings = [load_recording(file) for file in files]
             problem = build_problem(recordings, [analyse(r, note=note) for r in recordings], setup)
             partials = int((np.asarray(problem.observed.level.detected).sum(axis=0) > 1).sum())
-            if partials < FEWEST or not problem.layout.path_identifiable:
+            if partials < FEWEST or not problem.structure.path_identifiable:
                 continue
             tau = residual_of(map_estimate(problem))
             taus.append(tau)

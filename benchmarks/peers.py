@@ -101,7 +101,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     """A stroke as pianofit plays it from others; `steps`: at so many MIDI steps from a layer, or else as it was hit."""
     from pianofit import RecordingInfo, Setup, fit, predict_recording
     from pianofit.modal_response import modal_response_of
-    from pianofit.model.modal_response import force_of
+    from pianofit.model.modal_response import force_pulse
 
     layers = tuple(RecordingInfo(file=Path(heard[name].path).name, gain_group="machine") for name in by)
     setup = Setup(recordings=layers) if len(by) > 1 else Setup()
@@ -117,7 +117,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     stroke, key = note.strike(rate), modal_response_of(result)
     if key is None:
         raise SystemExit(f"{wanted} from {by}: nothing rings; this is no case of the table")
-    sound = key.sound(force_of(stroke, float(note.hammer.v_H0)), rate, count).mean(axis=0)
+    sound = key.sound(force_pulse(stroke, float(note.hammer.v_H0)), rate, count).mean(axis=0)
     how = "velocity found" if steps is None else "velocity by MIDI"
     return Made(f"pianofit, from {' '.join(by)}, {how}", f"{given}; not trained on anything", sound)
 

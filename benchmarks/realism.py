@@ -63,10 +63,29 @@ END, WINDOW, SMOOTH = 1.5, 0.37, 200.0
 TREBLE = 500.0
 CONSTANTS = {
     "bands": ("KERNEL",),
-    "tuning": ("COHERENT", "DETUNED", "TUNED", "HALF_COHERENT"),
-    "cut": ("EVEN", "RANGE", "LEAST_SNR", "ENVELOPE", "CONTACT", "LOST", "FINE"),
-    "modes": ("FASTEST", "FASTER", "FAINTEST", "AHEAD", "OF_SPACING", "OF_BAND"),
-    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED", "WHITENED", "LOUDNESS"),
+    "relative_pitch": ("LEAST_COHERENCE", "LARGEST_DETUNING", "PITCH_PARTIALS", "LEAST_PITCH_COHERENCE"),
+    "valid_frames": (
+        "LOG_TIME_START",
+        "RANGE",
+        "LEAST_SNR",
+        "ENVELOPE",
+        "CONTACT",
+        "NOISE_MARGIN",
+        "LEAST_DEVIATION_DB",
+    ),
+    "modes": ("FASTEST", "FASTEST_RATIO", "FAINTEST", "LARGEST_LAYER_SNR", "OF_SPACING", "OF_BAND"),
+    "shared_response": (
+        "KNOCK",
+        "FADE",
+        "LEAST_DRIVE",
+        "FLOOR",
+        "ATTACK_WEIGHT",
+        "DELAY_PENALTY",
+        "LARGEST_DELAY",
+        "ATTACK_SECONDS",
+        "WHITENING_EXPONENT",
+        "LOUDNESS",
+    ),
 }
 
 

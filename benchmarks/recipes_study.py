@@ -25,7 +25,7 @@ from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples
 from pianofit.bensa2005.laboratory import SyntheticMeasurement, make_synthetic_recording, measure, setup_text
 from pianofit.bensa2005.recipes import fit_by_paper
 from pianofit.bensa2005.search import make_search, split
-from pianofit.criterion import band_values, line_sigma
+from pianofit.criterion import band_values, damping_for
 from pianofit.criterion import measure as energies
 from pianofit.inference.initial_values import starting_values
 from pianofit.model import simulate
@@ -90,7 +90,7 @@ def closeness(case: Measured, values: np.ndarray) -> Closeness:
     late = max(round(make_search(r, a, start).first_contact(values) * r.rate), 0)
     stroke = simulate(*split(values), start.geometry, rate=r.rate, quantity=start.quantity)
     sound, last = stroke.waveform(r.rate, len(recorded) + late)[late:], int(a.partials.number.max())
-    (cells, measured), (_, own) = (energies(x, r.rate, a.f0, a.B, last, line_sigma(a.f0)) for x in (recorded, sound))
+    (cells, measured), (_, own) = (energies(x, r.rate, a.f0, a.B, last, damping_for(a.f0)) for x in (recorded, sound))
     level = [10 * np.log10((x.sum(axis=1) * cells.spacing)[a.partials.number - 1]) for x in (own, measured)]
     scored = (a.partials.frequency <= LEVEL_TOP) & (level[1] >= level[1].max() - LEVEL_RANGE)
     difference = (level[0] - level[1])[scored]

@@ -21,7 +21,7 @@ from pianofit.felt import RelaxingHammer
 from pianofit.instrument import Instrument
 from pianofit.instrument.build import SCHEMA
 from pianofit.literature import typical
-from pianofit.modal_response_file import ringing_document
+from pianofit.modal_response_file import modal_response_document
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse, VelocityGain
 from pianofit.model.note import Note
 from pianofit.parameters import Hammer
@@ -88,7 +88,7 @@ def document(instrument: Instrument) -> dict:
     rows = [
         {"midi": midi, "string": note.string._asdict(), "hammer": _steady(note.hammer),
          "geometry": note.geometry._asdict(), "gain": note.gain, "path": None, "fit": {},
-         "ringing": None if note.ringing is None else ringing_document(note.ringing, whole=True)}
+         "ringing": None if note.ringing is None else modal_response_document(note.ringing, whole=True)}
         for midi, note in instrument.notes.items()
     ]  # fmt: skip
     return {"schema": SCHEMA, "kind": "instrument", "name": instrument.name, "quantity": "bridge-force", "keys": rows,

@@ -65,10 +65,14 @@ def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from page_cases import early, play
 
-    from pianofit.web.payload import LADDER, encode_note, payload
-    from pianofit.web.write import LARGEST_PAGE, OWN
+    from pianofit.web.payload import KNOCK_ENCODINGS, encode_instrument, encode_note
+    from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES
 
-    knocks = LADDER[0] if whole else payload(instrument, LARGEST_PAGE - OWN)[1] or LADDER[0]
+    knocks = (
+        KNOCK_ENCODINGS[0]
+        if whole
+        else encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)[1] or KNOCK_ENCODINGS[0]
+    )
     rows: list[tuple] = [(t, 0, "setPedal", down) for t, down in song.pedal]
     for key, events in song.keys.items():
         for t, v in events:

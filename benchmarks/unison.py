@@ -30,7 +30,7 @@ from scipy.linalg import helmert
 from pianofit import Recording, analyse
 from pianofit.modal_response import PartialModes, align_layers, band, kernel_seconds, modes_of
 from pianofit.modal_response.bands import kernel_gain
-from pianofit.modal_response.esprit import Signals, amplitudes
+from pianofit.modal_response.esprit import Signals, fit_amplitudes
 from pianofit.modal_response.modes import NOISE_BANDWIDTH, SLOWEST, common_pattern, synthesise
 from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.threads import one_blas_thread
@@ -135,7 +135,7 @@ def bands_of(recordings: Sequence[Recording], note: float | str) -> Bands:
 
 def left_by_modes(pole: np.ndarray, signals: Signals, noise: np.ndarray) -> tuple[float, float]:
     """Residual share of the power of free modes, with one pattern for all signals, and with own amplitudes."""
-    shapes, own = np.exp(np.outer(pole, signals.time)), amplitudes(pole, signals)
+    shapes, own = np.exp(np.outer(pole, signals.time)), fit_amplitudes(pole, signals)
     pattern = common_pattern(own[:, None, :], noise[:, None])[0]
     u, common = signals.values * signals.weight, (pattern @ shapes) * signals.weight
     gain = (common.conj() * u).sum(axis=1, keepdims=True) / (np.abs(common) ** 2).sum(axis=1, keepdims=True)

@@ -76,7 +76,13 @@ def criteria(seconds: float = 1.0) -> Works:
     import jax.numpy as jnp
 
     import pianofit
-    from pianofit.bensa2005.spectral_criterion import Scene, StaticConfig, residuals, spectral_goal, struck_gradients
+    from pianofit.bensa2005.spectral_criterion import (
+        SearchConstants,
+        StaticConfig,
+        criterion_gradients,
+        residuals,
+        spectral_goal,
+    )
     from pianofit.model import contact as contacts
     from pianofit.model import mode_table, spectrum
 
@@ -99,7 +105,9 @@ def criteria(seconds: float = 1.0) -> Works:
 
     value, general = jax.jit(plain), jax.jit(jax.value_and_grad(plain))
     cfg = StaticConfig(modes, steps, "velocity")
-    scene = Scene(*jax.tree.map(jnp.asarray, (it.geometry, contact, float(np.log(1e-4)), np.array([-99.0, 99.0]))))
+    scene = SearchConstants(
+        *jax.tree.map(jnp.asarray, (it.geometry, contact, float(np.log(1e-4)), np.array([-99.0, 99.0])))
+    )
     searched = jnp.asarray(z).at[4].add(float(np.log(1e-4)) * float(jnp.exp(z[6])))[None]
     damping = np.exp(-sigma * np.arange(samples) / RATE)
 
@@ -113,7 +121,7 @@ def criteria(seconds: float = 1.0) -> Works:
         "baseline, nine derivatives": lambda: by_baseline(10),
         "value": lambda: value(z),
         "value and nine derivatives, any model": lambda: general(z),
-        "value and nine derivatives": lambda: struck_gradients(searched, goal, scene, cfg),
+        "value and nine derivatives": lambda: criterion_gradients(searched, goal, scene, cfg),
     }
 
 
@@ -129,7 +137,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     from pianofit.inference.derivatives import evaluate_batch
     from pianofit.inference.map_estimate import fit_string
     from pianofit.inference.optimiser import LEVELS, Optimiser
-    from pianofit.inference.prescreen import MANY_LANES, initial_hyperparameters, sobol_samples
+    from pianofit.inference.prescreen import PRESCREEN_BATCH_SIZE, initial_hyperparameters, sobol_samples
 
     recordings = [pianofit.load_recording(x) for x in files]
     problem = build_problem(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
@@ -141,12 +149,12 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     at = people.level.residual, people.level.jacobian, people.level.phi, people.level.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
-        "modes": held.cfg.n_modes, "steps": int(held.scene.steps),
+        "modes": held.cfg.n_modes, "steps": int(held.model_inputs.steps),
         "partials": int(np.asarray(problem.observed.level.detected).sum()),
     }  # fmt: skip
     return {
-        HAMMERS: lambda: run_in_batches(levels, (string, many), held.scene, held.cfg, MANY_LANES),
-        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), held.scene, held.cfg),
+        HAMMERS: lambda: run_in_batches(levels, (string, many), held.model_inputs, held.cfg, PRESCREEN_BATCH_SIZE),
+        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), held.model_inputs, held.cfg),
         OBJECTIVE: lambda: evaluate_batch(held.table, *at),
     }, sizes
 

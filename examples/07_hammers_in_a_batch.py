@@ -15,7 +15,7 @@ def levels(log_hammer):
     """Levels of the first partials, dB, and if the contact ended, from logs of K_H, mu, p, M_H and v_H0 [5]."""
     modes = pianofit.mode_table(IT.string, IT.geometry, rate=88_200.0, n_modes=48, quantity="bridge-force")
     pulse = pianofit.strike(modes, pianofit.Hammer(*jnp.exp(log_hammer)), steps=768)
-    return pianofit.levels(modes, pulse.drive)[:PARTIALS], pulse.over
+    return pianofit.levels(modes, pulse.drive)[:PARTIALS], pulse.contact_ended
 
 
 def loss(log_hammers, target):

@@ -98,7 +98,7 @@ def python(code: str, *arguments: object, **more) -> subprocess.Popen:
 
 def drive(source: str, out: str, scheduler: str = "") -> None:
     """Run a batch over the files in `source` with `quick_work`, in a driver process."""
-    from pianofit.batch import Cluster, Local, run_batch
+    from pianofit.batch import DaskPool, ProcessPool, run_batch
 
     # If the tests run in the background, Ctrl-C may be ignored, and child processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -107,8 +107,8 @@ def drive(source: str, out: str, scheduler: str = "") -> None:
 
     def workers(store):
         if scheduler:
-            return Cluster(scheduler, by_value=True, work=quick_work)
-        return Local(2, 2**31, 60.0, store.scratch, work=quick_work)
+            return DaskPool(scheduler, by_value=True, work=quick_work)
+        return ProcessPool(2, 2**31, 60.0, store.scratch, work=quick_work)
 
     found = run_batch(jobs, Path(out), workers, tell=lambda p: print(p.event, flush=True) if p.event else None)
     print(json.dumps(found["counts"]))

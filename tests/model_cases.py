@@ -16,7 +16,7 @@ import scipy.optimize
 
 from pianofit import model
 from pianofit.model.contact import free_motion, impulse_amplitude
-from pianofit.model.damped_sums import transform
+from pianofit.model.damped_sums import z_transform
 from pianofit.model.free_response import _log_growth
 from pianofit.parameters import Geometry, Hammer, String
 
@@ -34,7 +34,7 @@ release = jax.jit(free_motion)
 @jax.jit
 def string_energy(modes, drive):
     """Energy of every mode after the pulse, J, extrapolated to t = 0."""
-    amplitude = impulse_amplitude(modes) * transform(drive, _log_growth(modes, len(drive)))
+    amplitude = impulse_amplitude(modes) * z_transform(drive, _log_growth(modes, len(drive)))
     at_node = modes.modal_gain == 0
     mass = jnp.where(at_node, 0.0, modes.strike / jnp.where(at_node, 1.0, modes.modal_gain))
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2

@@ -9,7 +9,14 @@ from html.parser import HTMLParser
 import numpy as np
 
 from pianofit.model.decay import PartialDecay
-from pianofit.report.figure_data import Envelope, Felt, IdentifiabilityData, RecordingCurves, RingingCurves, Strokes
+from pianofit.report.figure_data import (
+    Envelope,
+    Felt,
+    IdentifiabilityData,
+    ModalResponseCurves,
+    RecordingCurves,
+    Strokes,
+)
 from pianofit.report.figures import COMPARED, draw_figures
 from pianofit.report.page import FigureData
 
@@ -131,7 +138,7 @@ def with_ringing(curves):
     return dataclasses.replace(
         curves, sounds={"original": stereo(curves.sounds["original"]), "fitted": stereo(curves.sounds["fitted"]),
                         "string model": curves.sounds["initial"]},
-        ringing=RingingCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
+        ringing=ModalResponseCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
     )  # fmt: skip
 
 

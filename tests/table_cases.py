@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from pianofit.inference.likelihood import ADDED, JITTER, ObservationTable
+from pianofit.inference.likelihood import INTERFERENCE_DB, JITTER, ObservationTable
 from pianofit.inference.priors import STUDENT
 
 SMALL = -50.0  # log τ without a τ
@@ -60,7 +60,9 @@ def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def noise(t: ObservationTable, phi: np.ndarray) -> np.ndarray:
     """Variance of each entry's own error at a weight of 1 [R, K]."""
-    return np.asarray(t.variance + np.exp(2 * phi[0]) * t.variance_profile + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
+    return np.asarray(
+        t.variance + np.exp(2 * phi[0]) * t.variance_profile + (np.exp(phi[3]) * INTERFERENCE_DB * t.ratio) ** 2
+    )
 
 
 def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int]) -> np.ndarray:

@@ -14,14 +14,14 @@ from pianofit.analysis import (
     Analysis,
     Partials,
     analyse,
-    as_dict,
+    analysis_to_dict,
     energy_level,
     hz_to_note,
     law_frequency,
     midi_to_note,
     note_to_hz,
     note_to_midi,
-    rows,
+    partial_rows,
 )
 from pianofit.analysis.baseband_fit import first_fits, measure_levels, with_errors
 from pianofit.analysis.demodulation import demodulate
@@ -529,9 +529,9 @@ def test_losses_that_do_not_rise_stay_in_bounds():
 
 def test_as_data():
     analysis = analyse(string(*STRINGS["A6"], seed=1).recording(seconds=1.0), note="A6")
-    data = json.loads(json.dumps(as_dict(analysis), allow_nan=False))
+    data = json.loads(json.dumps(analysis_to_dict(analysis), allow_nan=False))
     assert data["partials"]["number"] == analysis.partials.number.tolist()
     assert data["f0"] == analysis.f0
-    table = rows(analysis)
+    table = partial_rows(analysis)
     assert [row[0] for row in table] == analysis.partials.number.tolist()
     assert max(abs(row[2]) for row in table) < 0.01  # cents from the law

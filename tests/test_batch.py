@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
-from pianofit.batch import Local, plan_jobs, run_batch, status
+from pianofit.batch import ProcessPool, plan_jobs, run_batch, status
 from pianofit.batch.job import JobResult
 from pianofit.batch.state import suggestions, time_left
 from pianofit.batch.store import Store, locked, open_folder
@@ -27,7 +27,7 @@ TEXTS = [f"note {i}" for i in range(8)]
 
 
 def run(jobs, out: Path, *, workers: int = 2, memory: int = 2**31, limit: float = 60.0, **more) -> dict:
-    return run_batch(jobs, out, lambda s: Local(workers, memory, limit, s.scratch, work=quick_work), **more)
+    return run_batch(jobs, out, lambda s: ProcessPool(workers, memory, limit, s.scratch, work=quick_work), **more)
 
 
 def no_workers(_):
@@ -149,7 +149,7 @@ def test_a_fit_without_end_and_one_without_bounds_are_stopped(tmp_path):
 def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
     monkeypatch.setattr("pianofit.batch.process_pool.MAX_JOBS_PER_WORKER", 2)
     processes = []
-    with Local(1, 2**31, 60.0, tmp_path / "scratch", work=quick_work) as worker:
+    with ProcessPool(1, 2**31, 60.0, tmp_path / "scratch", work=quick_work) as worker:
         for job in library(tmp_path / "in", TEXTS[:5]):
             worker.submit(job)
             while not (found := worker.finished(1.0)):
@@ -166,7 +166,7 @@ def count_threads(job, *_) -> JobResult:
 
 
 def test_a_worker_has_one_thread(tmp_path):
-    with Local(1, 2**31, 60.0, tmp_path / "scratch", work=count_threads) as worker:
+    with ProcessPool(1, 2**31, 60.0, tmp_path / "scratch", work=count_threads) as worker:
         worker.submit(library(tmp_path / "in", ["one"])[0])
         while not (found := worker.finished(1.0)):
             pass
@@ -289,10 +289,10 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="the disk is full"):
         store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
     monkeypatch.setattr(os, "fsync", real)
-    assert store.record("C4")["hash"] == "a"
+    assert store.verified_record("C4")["hash"] == "a"
     assert [p.name for p in (tmp_path / "keys").iterdir()] == ["C4"]
     store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
-    assert store.record("C4")["hash"] == "b"
+    assert store.verified_record("C4")["hash"] == "b"
 
 
 # --- the end at any moment --------------------------------------------------------------------------------------------
@@ -304,7 +304,7 @@ def check_remains(out: Path) -> set[str]:
         return set()
     store = Store(out)
     keys = store.finished()
-    assert all(store.record(key) is not None for key in keys)
+    assert all(store.verified_record(key) is not None for key in keys)
     return keys
 
 

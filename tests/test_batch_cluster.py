@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
-from pianofit.batch import Cluster, Local, run_batch, status
+from pianofit.batch import DaskPool, ProcessPool, run_batch, status
 from pianofit.batch.process_pool import ONE_THREAD
 from pianofit.errors import OutputError, ParameterError, PianofitError
 
@@ -70,7 +70,7 @@ def cluster(folder: Path, workers: int) -> Iterator[Machines]:
 
 def expected(jobs, out: Path) -> dict:
     """Results of local processes."""
-    run_batch(jobs, out, lambda s: Local(2, 2**31, 60.0, s.scratch, work=quick_work))
+    run_batch(jobs, out, lambda s: ProcessPool(2, 2**31, 60.0, s.scratch, work=quick_work))
     return results(out)
 
 
@@ -87,7 +87,7 @@ def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(tmp_path, by_value):
                 if len(events) == 1:  # the other worker is in the middle of a job
                     killed(machines.workers[0])
 
-        found = run_batch(jobs, tmp_path / "out", lambda _: Cluster(machines.address, by_value, quick_work), tell=tell)
+        found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, by_value, quick_work), tell=tell)
     assert found["counts"] == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
     assert results(tmp_path / "out") == expected(jobs, tmp_path / "own")
 
@@ -109,21 +109,21 @@ def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_
                 killed(machines.scheduler)
 
         with pytest.raises(OutputError, match="scheduler is gone"):
-            run_batch(jobs, out, lambda _: Cluster(machines.address, True, quick_work), tell=tell)
+            run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work), tell=tell)
         kept = status(out)["counts"]
         assert kept["done"] > len(first)
         assert kept["done"] + kept["waiting"] == 8
     with cluster(tmp_path / "dask2", 1) as machines:
-        run_batch(jobs, out, lambda _: Cluster(machines.address, True, quick_work))
+        run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work))
     assert results(out) == expected(jobs, tmp_path / "own")
 
 
 def test_what_fails_on_a_worker_is_told_here(tmp_path):
     jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
     with cluster(tmp_path / "dask", 1) as machines:
-        found = run_batch(jobs, tmp_path / "out", lambda _: Cluster(machines.address, True, quick_work))
+        found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, True, quick_work))
         (tmp_path / "in/A0.wav").unlink()
-        gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: Cluster(machines.address, True, quick_work))
+        gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: DaskPool(machines.address, True, quick_work))
     assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
     assert "A0.wav: no such file" in gone["keys"][0]["reason"]
 
@@ -131,6 +131,6 @@ def test_what_fails_on_a_worker_is_told_here(tmp_path):
 def test_no_scheduler_is_one_clear_message(monkeypatch):
     monkeypatch.setattr("pianofit.batch.dask_pool.TIMEOUT_S", 0.5)
     with pytest.raises(ParameterError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there"):
-        Cluster("tcp://127.0.0.1:9", True)
+        DaskPool("tcp://127.0.0.1:9", True)
     with pytest.raises(PianofitError, match="no scheduler answers there"):
-        Cluster("nonsense", True)
+        DaskPool("nonsense", True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from batch_cases import CLI, python, results, struck
 
-from pianofit.batch import Job, Local, Settings, make_unit, read_keys
+from pianofit.batch import Job, ProcessPool, Settings, make_job, read_keys
 from pianofit.batch.job import JobResult, _of_another_key, _wrong_note
 from pianofit.cli import main
 from pianofit.io.files import encode_wav
@@ -19,7 +19,7 @@ PATTERN = "{instrument}-{note}-{layer}.wav"
 
 def in_a_worker(job: Job, folder: Path) -> JobResult:
     """Fit in a process with one thread, as a batch does."""
-    with Local(1, 2**32, 300.0, folder / "scratch") as worker:
+    with ProcessPool(1, 2**32, 300.0, folder / "scratch") as worker:
         worker.submit(job)
         while not (found := worker.finished(1.0)):
             pass
@@ -103,7 +103,7 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     struck(tmp_path / "grand-C4-sharp.wav", 61, 2.0)  # a semitone off
     struck(tmp_path / "grand-C4-octave.wav", 72, 2.0)
     (key,), _ = read_keys(tmp_path, pattern=PATTERN)
-    outcome = in_a_worker(make_unit(key, Settings(page=False)), tmp_path)
+    outcome = in_a_worker(make_job(key, Settings(page=False)), tmp_path)
     assert outcome.error == ""
     reasons = {Path(row["file"]).stem.rpartition("-")[2]: row["reason"] for row in outcome.left_out}
     assert set(reasons) == {"noise", "text", "sharp", "octave"}

@@ -17,7 +17,7 @@ import pytest
 from batch_cases import library, quick_work
 from instrument_cases import ERRORS, fit_document, true_note
 
-from pianofit.batch import Local, run_batch, status
+from pianofit.batch import ProcessPool, run_batch, status
 from pianofit.batch.html_index import Index
 from pianofit.batch.job_records import Entry, write_record
 from pianofit.batch.store import Store, open_folder
@@ -211,7 +211,7 @@ def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_pa
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_batch(jobs, tmp_path / "out", lambda s: Local(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
+        run_batch(jobs, tmp_path / "out", lambda s: ProcessPool(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
     html, state, progress = reports[-1]
     assert "not finished" in html
     assert state["at_work"]
@@ -230,7 +230,7 @@ def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypa
     now = time.time()
     for key, state, stage, began in (("B0", "running", "hammer", now - 40), ("C1", "running", "", now - 10),
                                      ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
-        write_record(store, Entry(key, key, "x", state, stage=stage, began=began))
+        write_record(store, Entry(key, key, "x", state, stage=stage, started=began))
     monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
     assert status(tmp_path)["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
     assert main(["status", str(tmp_path)]) == 0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pianofit.batch import Settings, make_unit, read_keys
+from pianofit.batch import Settings, make_job, read_keys
 from pianofit.errors import RecordingError, SetupError
 from pianofit.setup import load_setup
 
@@ -52,7 +52,7 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     touch(tmp_path, "close/C4.wav", "room/C4.wav")
     text = 'file,note,v_H0,group\nclose/C4.wav,C4,1.25,close\nroom/C4.wav,C4,,a "b"\n'
     (key,), _ = read_keys(manifest(tmp_path, text.replace('a "b"', '"a ""b"""')))
-    job = make_unit(key, Settings(setup="[string]\nlength = 0.6\n"))
+    job = make_job(key, Settings(setup="[string]\nlength = 0.6\n"))
     (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
     setup = load_setup(tmp_path / "setup.toml")
     assert setup.length == 0.6
@@ -68,7 +68,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     assert [(s.group, s.stroke) for s in key.samples] == [
         ("close", "L2"), ("decca", "L2"), ("close", ""), ("close", "L4"), ("decca", "L4"),
     ]  # fmt: skip
-    job = make_unit(key, Settings())
+    job = make_job(key, Settings())
     (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
     layers = load_setup(tmp_path / "setup.toml").recordings
     assert [(t.file, t.group, t.stroke) for t in layers][:3] == [
@@ -123,7 +123,7 @@ def test_a_velocity_without_a_unit_is_midis_and_names_the_layer(tmp_path, header
         (None, "v016", ""), (None, "v127", "v127"), (None, "v127", "v127")
     ]  # fmt: skip
     assert "v_H0" in remarks[0]
-    assert "v_H0 =" not in make_unit(key, Settings()).setup
+    assert "v_H0 =" not in make_job(key, Settings()).setup
 
 
 def test_a_velocity_in_a_pattern_is_midis_unless_it_is_called_v_h0(tmp_path):
@@ -256,7 +256,7 @@ def test_two_takes_of_one_content_are_refused(tmp_path):
     (tmp_path / "b.wav").write_bytes(b"a.wav")
     (key,), _ = read_keys(manifest(tmp_path, "file,note\na.wav,C4\nb.wav,C4"))
     with pytest.raises(RecordingError, match=r"b\.wav and .*a\.wav"):
-        make_unit(key, Settings())
+        make_job(key, Settings())
 
 
 def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
@@ -264,7 +264,7 @@ def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / "a.wav").write_bytes(content)
         (key,), _ = read_keys(manifest(tmp_path / folder, "file,note\na.wav,C4"))
-        return make_unit(key, settings)
+        return make_job(key, settings)
 
     first = job("one")
     assert job("two").hash == first.hash

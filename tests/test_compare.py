@@ -17,7 +17,7 @@ from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
 from pianofit.cli import main
-from pianofit.conversions import NORMAL
+from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import FitError, ParameterError
 from pianofit.report.build import felt_of
 
@@ -44,7 +44,7 @@ def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -
 def spread(name: str) -> float:
     """Return the standard deviation of the logarithm of one value."""
     low, high = fitted().parameters[name].interval
-    return math.log(high / low) / (2 * NORMAL)
+    return math.log(high / low) / (2 * HALF_WIDTH_95)
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def test_the_felts_are_compared_at_one_compression():
     u = float(row.name.split()[2]) / 1e3
     hammer = fitted().note.hammer
     assert row.a.value == pytest.approx(hammer.K_H * u**hammer.p, rel=0.03)  # the name has three digits
-    half = math.log(row.a.interval[1] / row.a.value) / NORMAL
+    half = math.log(row.a.interval[1] / row.a.value) / HALF_WIDTH_95
     assert row.z == pytest.approx(math.log(1.5) / (math.sqrt(2) * half), rel=1e-6)
     assert found.felt_unit == row.unit == "N"
     assert first.compression[-1] == pytest.approx(felt_of(fitted()).compression[-1])

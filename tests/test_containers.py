@@ -14,7 +14,7 @@ from pianofit.errors import RecordingError
 from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
 from pianofit.io.containers import SOUNDS, audio_of
 from pianofit.recording.recording import load_recording, recording_from_samples
-from pianofit.result.identifiability import mixed_layouts
+from pianofit.result.identifiability import mixed_format_warnings
 
 SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 LOSSLESS = [(container, subtype) for container in ("RF64", "W64", "AIFF", "CAF", "AU") for subtype in SUBTYPES]
@@ -113,10 +113,10 @@ def test_recordings_of_a_key_that_differ_in_layout_are_named():
     mono, double = note(), recording_from_samples(note(rate=2 * RATE), 2 * RATE, name="/far/double.wav")
     one, stereo = (recording_from_samples(mono, RATE, name=f"/far/{name}.wav") for name in ("mono", "stereo"))
     stereo = replace(stereo, frames=np.stack([mono, mono]))
-    assert mixed_layouts([one, one]) == []
-    (channels,) = mixed_layouts([one, stereo])
+    assert mixed_format_warnings([one, one]) == []
+    (channels,) = mixed_format_warnings([one, stereo])
     assert "channels (mono.wav 1, stereo.wav 2)" in channels
-    (rates,) = mixed_layouts([one, double])
+    (rates,) = mixed_format_warnings([one, double])
     assert f"mono.wav {RATE}" in rates
     assert "/far" not in channels + rates
 
@@ -137,5 +137,5 @@ def test_a_seek_to_before_the_begin_is_noted_and_raises_nothing(offset, whence, 
     stream = _Stream(b"12345678")
     stream.read(4)
     stream.seek(offset, whence)
-    assert stream.astray == astray
+    assert stream.seek_before_start == astray
     assert stream.tell() == (0 if astray else 4)

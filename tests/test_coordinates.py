@@ -9,7 +9,7 @@ import pytest
 from model_cases import GEOMETRY
 
 from pianofit.felt import LAWS, RelaxingHammer, check_hammer
-from pianofit.inference.parametrisation import ABSENT, Parametrisation, names_of
+from pianofit.inference.parametrisation import LOG_ABSENT_LOSS, Parametrisation, names_of
 from pianofit.parameters import PARAMETERS, Hammer, check
 
 STROKES = 2
@@ -103,7 +103,7 @@ def test_values_are_those_of_a_string_and_a_hammer():
     assert u.geometry_at(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
     relaxing = replace(u, law=LAWS["stulov"])
     theta = u.mean.copy()
-    theta[MU] = ABSENT
+    theta[MU] = LOG_ABSENT_LOSS
     hammer = relaxing.hammer(theta, 0)
     assert isinstance(hammer, RelaxingHammer)
     assert (hammer.mu, hammer.v_H0) == (0.0, pytest.approx(1.0))

@@ -9,9 +9,9 @@ from scipy.optimize import minimize_scalar
 from pianofit.analysis import law_frequency
 from pianofit.criterion import (
     BANDS,
+    band_borders,
     band_of,
     band_values,
-    borders,
     cell_grid,
     closed_form_gain,
     level_error_db,
@@ -56,7 +56,7 @@ def test_measure_is_the_transform_of_the_damped_signal():
 def test_the_criterion_is_the_papers_integral():
     recorded, model = note(1.0 / K), note(1.1 / K, detune=4e-3, decay=2.0)
     found = values(model, recorded)
-    edges = borders(F0, B, LAST)
+    edges = band_borders(F0, B, LAST)
     for index, name in enumerate(BANDS):
         frequency = np.arange(edges[index], edges[index + 1], 1.5)
         Y, S = spectrum(model, frequency), spectrum(recorded, frequency)
@@ -90,7 +90,7 @@ def test_bands_follow_the_paper():
 
 @given(st.floats(27, 2000), st.floats(0, 5e-3), st.integers(1, 60))
 def test_borders_lie_between_partials_and_cells_within_them(f0, inharmonicity, last):
-    edges = borders(f0, inharmonicity, last)
+    edges = band_borders(f0, inharmonicity, last)
     between = [law_frequency(f0, inharmonicity, np.array([k, k + 1])) for k in (1, 8)]
     assert edges == tuple(sorted(edges))
     assert all(low < edge < high for edge, (low, high) in zip(edges[1:3], between, strict=True))

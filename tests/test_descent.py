@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from pianofit.bensa2005.descent import LONGER, SHARE, SHORTER, LeastSquares, gradient_descent
+from pianofit.bensa2005.descent import STEP_GROWTH, STEP_REDUCTION, SUFFICIENT_DECREASE, LeastSquares, gradient_descent
 
 
 def descended(evaluate, starts: np.ndarray, lower: np.ndarray, upper: np.ndarray, **how) -> Any:
@@ -53,8 +53,8 @@ def test_a_parabola_is_descended_at_the_rate_that_the_line_search_guarantees(con
     evaluate = quadratic(hessian(condition, size, 1), np.zeros(size))
     box = np.full(size, -10.0), np.full(size, 10.0)
     first = evaluate(start)[0]
-    factor = 1 - 2 * SHARE * (1 - SHARE) / condition
-    steps_per_taken = 1 + np.log(LONGER) / np.log(1 / SHORTER)
+    factor = 1 - 2 * SUFFICIENT_DECREASE * (1 - SUFFICIENT_DECREASE) / condition
+    steps_per_taken = 1 + np.log(STEP_GROWTH) / np.log(1 / STEP_REDUCTION)
     for iterations in (50, 100, 300):
         end = descended(evaluate, start, *box, iterations=iterations, tolerance=0.0)
         bound = factor ** ((iterations - 20) / steps_per_taken)
@@ -124,7 +124,7 @@ def test_every_step_taken_brings_its_share_of_what_the_slope_foretold():
         predicted = np.einsum("sn,sn->s", rosenbrock(before.z)[1], before.z - after.z)
         moved = (before.z != after.z).any(axis=1)
         assert (predicted[moved] > 0).all()
-        assert (after.cost[moved] <= before.cost[moved] - SHARE * predicted[moved]).all()
+        assert (after.cost[moved] <= before.cost[moved] - SUFFICIENT_DECREASE * predicted[moved]).all()
     assert (ends[-1].cost < 0.2 * ends[0].cost).all()
     assert not ends[-1].converged.any()
 
@@ -214,14 +214,14 @@ def test_least_squares_find_what_made_the_data_and_lie_on_an_edge_exactly():
     t, true, points = np.linspace(0, 4, 30), np.log([2.0, 0.7, 0.3]), []
     lower, upper = np.full(3, -3.0), np.full(3, 3.0)
     problem = exponential(t, 2.0 * np.exp(-0.7 * t) + 0.3, points, lower, upper)
-    end = problem.finished(np.zeros(3), evaluations=100, tolerance=1e-14)
+    end = problem.minimise(np.zeros(3), evaluations=100, tolerance=1e-14)
     np.testing.assert_allclose(end.z, true, atol=1e-6)
     assert end.converged
     held = problem._replace(lower=np.append(lower[:2], 0.1), upper=np.append(upper[:2], 0.1))
-    assert held.finished(np.zeros(3), evaluations=100).z[2] == 0.1
+    assert held.minimise(np.zeros(3), evaluations=100).z[2] == 0.1
     upper[0], lower[1] = np.log(1.5), 0.0
     upper[1] = 0.0
-    end = problem.finished(np.zeros(3), evaluations=100)
+    end = problem.minimise(np.zeros(3), evaluations=100)
     assert end.z[0] == upper[0]
     assert end.z[1] == 0.0
     tried = np.concatenate(points[-end.evaluations :])
@@ -235,10 +235,10 @@ def test_least_squares_from_a_wall_stay_there_and_unfinished_ones_say_so():
         return residual, np.ones((1, 1, 1))
 
     problem = LeastSquares(lambda theta: 0.5 * (walled(theta)[0] ** 2).sum(axis=1), walled, np.zeros(1), np.ones(1))
-    end = problem.finished(np.ones(1), evaluations=50)
+    end = problem.minimise(np.ones(1), evaluations=50)
     assert (end.z[0], end.cost, end.converged) == (1.0, np.inf, False)
-    near = problem.finished(np.zeros(1), evaluations=50)
+    near = problem.minimise(np.zeros(1), evaluations=50)
     assert 0.0 < near.z[0] <= 0.5
     t = np.linspace(0, 4, 30)
     short = exponential(t, 9.0 * np.exp(-3 * t) + 0.3, [], -np.ones(3), np.full(3, 9.0))
-    assert not short.finished(np.zeros(3), evaluations=2).converged
+    assert not short.minimise(np.zeros(3), evaluations=2).converged

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from pianofit.felt import BOXES, LAWS
+from pianofit.felt import ALL_PARAMETERS, LAWS
 from pianofit.io.files import FIT_SCHEMA
 from pianofit.modal_response import modal_response_of
-from pianofit.modal_response_file import ringing_document
+from pianofit.modal_response_file import modal_response_document
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -110,7 +110,7 @@ def rows(columns: int) -> list[list[str]]:
 def test_every_key_of_a_setup_is_in_its_table_with_its_range():
     found = {(table, key): span for table, key, span, *_ in rows(5)}
     for table, keys in KEYS.items():
-        if keys == tuple(BOXES):
+        if keys == tuple(ALL_PARAMETERS):
             assert f"`[{table}]`" in FILES.read_text(encoding="utf-8")
             continue
         for key in keys:
@@ -124,7 +124,7 @@ def test_every_key_of_a_setup_is_in_its_table_with_its_range():
 
 def test_every_parameter_is_in_its_table_with_its_unit_and_range():
     found = {name: (unit, span) for name, unit, span, _ in rows(4)}
-    for name, parameter in BOXES.items():
+    for name, parameter in ALL_PARAMETERS.items():
         unit, span = found[name]
         assert unit == parameter.unit
         assert [float(x) for x in span.split(" to ")] == [parameter.lower, parameter.upper], name
@@ -151,7 +151,7 @@ def ringing_of_a_fit() -> dict[str, Any]:
     result = run(ROOT / "docs" / "modal-response.md")["result"]
     found = modal_response_of(result)
     assert found is not None
-    return result.document["ringing"] | ringing_document(found)
+    return result.document["ringing"] | modal_response_document(found)
 
 
 def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.felt import BOXES, LAWS, RelaxingHammer, make_hammer
+from pianofit.felt import ALL_PARAMETERS, LAWS, RelaxingHammer, make_hammer
 from pianofit.model import felt
 from pianofit.model.felt import relaxing
 from pianofit.parameters import Geometry, Hammer, String
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 
 def _log(name: str):
-    box = BOXES[name]
+    box = ALL_PARAMETERS[name]
     return st.floats(math.log(box.lower), math.log(box.upper)).map(
         lambda x: min(max(math.exp(x), box.lower), box.upper)
     )
@@ -192,7 +192,7 @@ def test_reverse_mode_gives_the_same_derivatives(name):
 
 def test_simulate_follows_a_felt_with_memory_to_the_end_of_its_contact():
     done = model.simulate(STRING, STULOV, GEOMETRY, rate=44_100.0)
-    assert bool(done.pulse.over)
+    assert bool(done.pulse.contact_ended)
     stiff, soft = (
         model.simulate(STRING, ELASTIC._replace(K_H=K), GEOMETRY).contact_time for K in (STULOV.K_H, 0.6 * STULOV.K_H)
     )
@@ -225,7 +225,7 @@ def test_the_parameters_given_choose_the_felt():
 def test_each_law_has_the_parameters_that_it_is_said_to_have(name):
     """The force depends only on these; the others are M_H, v_H0, or 0."""
     hammer = {"power": ELASTIC, "hunt-crossley": HAMMER, "stulov": STULOV}[name]
-    assert set(LAWS[name].parameters) <= set(BOXES)
+    assert set(LAWS[name].parameters) <= set(ALL_PARAMETERS)
     blow, u, w = ("M_H", "v_H0"), jnp.asarray(1e-4), jnp.asarray(0.5)
     assert {n for n, value in hammer._asdict().items() if value and n not in blow} == set(LAWS[name].parameters)
     assert float(model.felt_force(u, w, hammer, 1e-11)) == pytest.approx(float(law(1e-4, 0.5, 1e-11, hammer)))

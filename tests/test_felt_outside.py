@@ -126,8 +126,8 @@ def test_a_prior_that_says_nothing_is_the_box():
 
 
 def test_what_scales_with_lengths_and_masses_follows_from_the_units():
-    assert (FOAM.scaling("N m"), FOAM.scaling("N")) == (("K", "s", "d"), ("K",))
-    assert [law.scaling("N m") for law in LAWS.values()] == [("K_H", "mu"), ("K_H",), ("K_H",)]
+    assert (FOAM.parameters_with_unit("N m"), FOAM.parameters_with_unit("N")) == (("K", "s", "d"), ("K",))
+    assert [law.parameters_with_unit("N m") for law in LAWS.values()] == [("K_H", "mu"), ("K_H",), ("K_H",)]
 
 
 @pytest.mark.parametrize("seed", range(5))

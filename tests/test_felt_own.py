@@ -12,7 +12,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING, strike, table
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
 from pianofit.parameters import PARAMETERS
-from pianofit.playback.repeated_strike import stroke, table_of
+from pianofit.playback.repeated_strike import strike_string, string_tables
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -32,7 +32,7 @@ AGAIN = FeltLaw("Again", BOXES, hunt_crossley, spring)
 
 
 def again(hammer):
-    return AGAIN.kind(*hammer[:3], hammer.M_H, hammer.v_H0)
+    return AGAIN.hammer_type(*hammer[:3], hammer.M_H, hammer.v_H0)
 
 
 HARD, LINEAR = HAMMER._replace(v_H0=5.0, p=3.5, K_H=1e13), HAMMER._replace(p=1.0, K_H=1e4)
@@ -109,8 +109,8 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
             "felt law Gives: at u=.*energy.*storage",
         ),
         (
-            lambda: stroke(
-                table_of(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
+            lambda: strike_string(
+                string_tables(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
                 AGAIN.hammer(**GOOD), np.zeros(64), "C4",
             ),
             "C4: felt law Again",
@@ -129,5 +129,5 @@ def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
         model.strike(modes, HAMMER, steps=64)
     with pytest.raises(ParameterError, match=r"K_H=-1e\+10 must be"):
         model.strike(modes, HAMMER._replace(K_H=-1e10), steps=640)
-    assert not model.strike(modes, HAMMER, steps=64, whole=False).over
-    assert not jax.jit(lambda h: model.strike(modes, h, steps=64).over)(HAMMER)
+    assert not model.strike(modes, HAMMER, steps=64, whole=False).contact_ended
+    assert not jax.jit(lambda h: model.strike(modes, h, steps=64).contact_ended)(HAMMER)

@@ -37,7 +37,7 @@ from pianofit.inference.observation_tables import RecordingStructure
 from pianofit.io.files import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording.recording import load_recording
-from pianofit.report.build import known_of
+from pianofit.report.build import identifiability_of
 from pianofit.result.identifiability import STATUSES, _implausible_velocities, _outlying_recordings, _path_compared
 from pianofit.setup import setup_from_dict
 
@@ -204,7 +204,7 @@ def test_invariants_need_no_measured_velocity():
     # A loaded fit has no recordings, but its page has the same correlations, at the same reference velocity.
     back = dataclasses.replace(found, recordings=(), reference_index=0)
     assert found.reference_index > 0
-    np.testing.assert_array_equal(known_of(back).correlation, known_of(found).correlation)
+    np.testing.assert_array_equal(identifiability_of(back).correlation, identifiability_of(found).correlation)
     invariants, g = document["invariants"], FIRST.geometry
     pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
     # Fitted velocities are scaled by a common factor, and so are compressions and forces.
@@ -274,8 +274,8 @@ def test_a_measured_velocity_overrides_the_setups():
         [recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4
     )
     assert problem.measured_velocity == (1.4,)
-    assert np.exp(problem.unknowns.mean[-1]) == pytest.approx(1.4)
-    assert not problem.unknowns.free[-1]
+    assert np.exp(problem.parametrisation.mean[-1]) == pytest.approx(1.4)
+    assert not problem.parametrisation.free[-1]
 
 
 def test_initial_values_are_where_one_start_lies_and_are_shown():

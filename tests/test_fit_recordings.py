@@ -24,11 +24,11 @@ from twin_cases import (
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
-from pianofit.fit_file import gains_of, mixture_of, read_fit
+from pianofit.fit_file import notes_of_minima, read_fit, relative_gains
 from pianofit.inference import build_problem
 from pianofit.result import Result
 from pianofit.result.cross_validation import cross_validate
-from pianofit.result.identifiability import velocity_assumption
+from pianofit.result.identifiability import velocity_assignment_warning
 from pianofit.result.prediction import predict_recording
 from pianofit.setup import RecordingInfo, Setup
 
@@ -93,17 +93,17 @@ def test_known_velocities_are_kept():
     known = [RecordingInfo(file=name, v_H0=v) for name, v in zip(FILES, VELOCITIES, strict=True)]
     problem = build_problem(*through(SEVERAL), strokes_of(SEVERAL, *known))
     assert problem.measured_velocity == VELOCITIES
-    np.testing.assert_allclose(np.exp(problem.unknowns.mean[-3:]), VELOCITIES, rtol=1e-12)
-    assert not problem.unknowns.free[-3:].any()
+    np.testing.assert_allclose(np.exp(problem.parametrisation.mean[-3:]), VELOCITIES, rtol=1e-12)
+    assert not problem.parametrisation.free[-3:].any()
 
 
 def test_a_velocity_that_names_no_recording_is_the_brightest_ones_and_said_so():
     problem = build_problem(*through(SEVERAL), Setup(fixed={"v_H0": 3.0}))
     assert problem.measured_velocity == (None, None, 3.0)
-    (warning,) = velocity_assumption(problem)
+    (warning,) = velocity_assignment_warning(problem)
     assert "v_H0 = 3 m/s" in warning
     assert FILES[2] in warning
-    assert not velocity_assumption(build_problem(*through(SEVERAL), strokes_of(SEVERAL)))
+    assert not velocity_assignment_warning(build_problem(*through(SEVERAL), strokes_of(SEVERAL)))
 
 
 def test_groups_and_gain_groups_are_the_setups():
@@ -113,7 +113,7 @@ def test_groups_and_gain_groups_are_the_setups():
         RecordingInfo(FILES[2]),
     ]
     problem = build_problem(*through(SEVERAL), strokes_of(SEVERAL, *entries))
-    layout = problem.layout
+    layout = problem.structure
     assert layout.stroke == (0, 1, 2)
     assert len(set(layout.group)) == 3
     assert layout.gain[0] == layout.gain[1] != layout.gain[2]
@@ -132,7 +132,7 @@ def test_a_recording_that_was_left_out_is_predicted():
 
 def test_what_alike_strokes_leave_alike_is_known_of_a_path():
     """A synthetic recording has almost no discrepancy. One that is added, different at each partial, is recovered."""
-    assert np.abs(path_fit(SEVERAL).note.path.wander.db).max() < 0.2
+    assert np.abs(path_fit(SEVERAL).note.path.velocity_discrepancy.db).max() < 0.2
     recordings, analyses = through(SEVERAL)
     slope, random = {}, np.random.default_rng(4)
     altered = []
@@ -142,11 +142,11 @@ def test_what_alike_strokes_leave_alike_is_known_of_a_path():
         altered.append(replace(analysis, partials=replace(p, level=p.level + own * np.log(velocity / VELOCITIES[1]))))
     note = fit_recordings(recordings, altered, strokes_of(SEVERAL)).note
     path = note.path
-    assert path.wander.velocity == pytest.approx(VELOCITIES, rel=0.1)
+    assert path.velocity_discrepancy.velocity == pytest.approx(VELOCITIES, rel=0.1)
     number = 1 + np.abs(note.frequencies(64) - path.frequency[:, None]).argmin(axis=1)
     common = np.isin(number, functools.reduce(np.intersect1d, [a.partials.number for a in altered]))
     drawn = np.array([slope[k] for k in number[common]]) * np.log(VELOCITIES[2] / VELOCITIES[0])
-    found = (path.wander.db[2] - path.wander.db[0])[common]
+    found = (path.velocity_discrepancy.db[2] - path.velocity_discrepancy.db[0])[common]
     assert np.std(found - drawn) < 0.6 * np.std(drawn)
 
 
@@ -155,26 +155,26 @@ def test_a_file_predicts_what_its_fit_predicts(tmp_path):
     file = result.save(tmp_path / "fit", page=False) / "fit.json"
     document = read_fit(file)
     whole = predict_recording(result, analysis)
-    read = predict_recording(mixture_of(document, file), analysis, gains=gains_of(document))
+    read = predict_recording(notes_of_minima(document, file), analysis, gains=relative_gains(document))
     assert (read.velocity, read.error_db) == pytest.approx((whole.velocity, whole.error_db), rel=1e-6)
     one = document["minima"][0]
     assert document["pickup"]["path"]["wander"] == one["path_wander"]
     # Each minimum has its own discrepancy, or none.
     other = one | {"path_wander": one["path_wander"] | {"db": [[2.0] * len(one["path_db"])] * 2}}
-    two = mixture_of(document | {"minima": [one, other]}, file)
-    assert [note.path.wander.db[0, 0] for _, note in two] == [one["path_wander"]["db"][0][0], 2.0]
+    two = notes_of_minima(document | {"minima": [one, other]}, file)
+    assert [note.path.velocity_discrepancy.db[0, 0] for _, note in two] == [one["path_wander"]["db"][0][0], 2.0]
     del document["pickup"]["path"]["wander"], other["path_wander"]
-    without = mixture_of(document | {"minima": [other, other]}, file)
-    assert [note.path.wander for _, note in without] == [None, None]
+    without = notes_of_minima(document | {"minima": [other, other]}, file)
+    assert [note.path.velocity_discrepancy for _, note in without] == [None, None]
     with pytest.raises(FitError, match=r"minima\[0\]\.path\.wander needs 1 to 256"):
-        mixture_of(document | {"minima": [other | {"path_wander": {"velocity": [1.0], "db": [[0.0]]}}] * 2}, file)
+        notes_of_minima(document | {"minima": [other | {"path_wander": {"velocity": [1.0], "db": [[0.0]]}}] * 2}, file)
 
 
 def test_one_velocity_has_no_velocity_discrepancy():
-    assert path_fit(ALONE).note.path.wander is None
+    assert path_fit(ALONE).note.path.velocity_discrepancy is None
     close, room = (path_fit(MICROPHONES).minima_notes[0][i].path for i in (0, 3))
-    assert len(close.wander.velocity) == len(SEVERAL)
-    assert room.wander is None
+    assert len(close.velocity_discrepancy.velocity) == len(SEVERAL)
+    assert room.velocity_discrepancy is None
 
 
 @pytest.mark.slow

@@ -32,15 +32,15 @@ def piano() -> Instrument:
     short = note._replace(ringing=note.ringing._replace(knock=note.ringing.knock[:, :2_000]))
     one = rung(ONE)
     assert one.ringing is not None
-    assert one.ringing.participation is not None
-    part = VelocityGain(np.array([1.0]), one.ringing.participation.factor[1:])
-    one = one._replace(ringing=one.ringing._replace(participation=part).without_knock())
+    assert one.ringing.velocity_gain is not None
+    part = VelocityGain(np.array([1.0]), one.ringing.velocity_gain.factor[1:])
+    one = one._replace(ringing=one.ringing._replace(velocity_gain=part).without_knock())
     notes = {OWN: short, ONE: one, LAW: true_note(LAW)}
     return Instrument('a "piano"\n', notes, 1.3, 1.5, frozenset({OWN, ONE}))
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory) -> tuple[Path, write.Program]:
+def program(tmp_path_factory) -> tuple[Path, write.FaustSummary]:
     file = tmp_path_factory.mktemp("out") / "piano.dsp"
     return file, write_faust(file, piano(), [OWN, ONE, LAW], licence="CC0")
 
@@ -113,8 +113,8 @@ def test_strokes_beyond_those_known_are_beyond(program):
     """The preceding test relies on velocities outside the measured strokes."""
     ringing = piano().notes[OWN].ringing
     assert ringing is not None
-    assert ringing.participation is not None
-    slowest, fastest = ringing.participation.velocity[[0, -1]]
+    assert ringing.velocity_gain is not None
+    slowest, fastest = ringing.velocity_gain.velocity[[0, -1]]
     assert piano().note(OWN, 1).hammer.v_H0 < slowest
     assert piano().note(OWN, 127).hammer.v_H0 > fastest
 
@@ -174,11 +174,11 @@ def test_knocks_give_way_where_there_is_no_room(tmp_path, monkeypatch):
     monkeypatch.setattr(write, "MOST_NUMBERS", 4_000)
     done = write_faust(tmp_path / "a.dsp", piano(), [OWN])
     assert done.knock_rate is None
-    assert done.numbers <= 4_000
+    assert done.table_entries <= 4_000
     tables = [line for line in (tmp_path / "a.dsp").read_text().splitlines() if "waveform{" in line]
     held = sum(line.count(",") + 1 for line in tables)
     # Further entries: the row of every MIDI key, and the offsets of the rows of each table.
-    assert done.numbers <= held <= done.numbers + 128 + 4 * len(tables)
+    assert done.table_entries <= held <= done.table_entries + 128 + 4 * len(tables)
     assert not re.search(r"^knock_shape", (tmp_path / "a.dsp").read_text(), re.MULTILINE)
     monkeypatch.setattr(write, "MOST_NUMBERS", 100)
     with pytest.raises(ParameterError, match="fewer --keys"):

@@ -12,9 +12,9 @@ from instrument_cases import ERRORS, fit_document, force_entry, library, true_no
 
 from pianofit.errors import FitError
 from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
-from pianofit.instrument.build import assemble
+from pianofit.instrument.build import to_parameters
 from pianofit.instrument.collect_fits import (
-    LOUDEST,
+    LOUDEST_VELOCITY,
     NAMES,
     instrument_name,
     key_observables,
@@ -184,7 +184,7 @@ def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
         note = true_note(midi)
         values = key_observables(note, midi)
-        string, hammer, geometry, gain = assemble(midi, values, "pressure")
+        string, hammer, geometry, gain = to_parameters(midi, values, "pressure")
         assert string == pytest.approx(note.string, rel=1e-12)
         assert hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
         assert geometry == pytest.approx(note.geometry, rel=1e-12)
@@ -203,7 +203,7 @@ def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
         write_fit(tmp_path, 60, fit_document(scaled, ERRORS, (1.7, 6.8)), "b"),
     ]
     first, second = (load_keys([file])[0] for file in files)
-    assert first.velocities == pytest.approx(second.velocities) == (1.0, LOUDEST)
+    assert first.velocities == pytest.approx(second.velocities) == (1.0, LOUDEST_VELOCITY)
     assert first.note.hammer == pytest.approx(second.note.hammer, rel=1e-9)
     assert first.note.gain == pytest.approx(second.note.gain, rel=1e-9)
 
@@ -245,7 +245,7 @@ def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path
         load_keys([write_fit(tmp_path, 60, document | {"recordings": rows}, name)])[0]
         for name, rows in (("one", [soft, loud]), ("both", [*room, soft, loud]))
     )
-    assert both.velocities == one.velocities == (1.0, LOUDEST)
+    assert both.velocities == one.velocities == (1.0, LOUDEST_VELOCITY)
     assert both.note.gain == one.note.gain
 
 

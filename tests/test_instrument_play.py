@@ -150,7 +150,7 @@ def test_one_channel_is_heard_in_both_and_strokes_stay_together():
     one, two = (render_song(piano._replace(notes={m: piano.notes[m]}), song(x), RATE).samples
                 for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip
     assert (len(both), len(one), len(two)) == (2, 2, 1)
-    lead = round(piano.lead * RATE)
+    lead = round(piano.pre_onset_s * RATE)
     assert lead == round(0.012 * RATE)
     expected = one[:, : RATE // 2].copy()
     expected[:, lead:] += two[:, : RATE // 2 - lead]

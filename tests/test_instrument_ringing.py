@@ -17,8 +17,8 @@ from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.instrument.interpolate_keys import REACH, interpolate_keys
-from pianofit.modal_response_file import encode_knock, ringing_document
-from pianofit.model.modal_response import force_of
+from pianofit.modal_response_file import encode_knock, modal_response_document
+from pianofit.model.modal_response import force_pulse
 from pianofit.model.modes import mode_frequencies
 
 
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
     """Fits of D3, with a modal response, and of G5, without."""
     place = tmp_path_factory.mktemp("fits")
     note = rung(50)
-    file = write_fit(place, 50, fit_document(note, ERRORS) | {"ringing": ringing_document(note.ringing)})
+    file = write_fit(place, 50, fit_document(note, ERRORS) | {"ringing": modal_response_document(note.ringing)})
     (file.parent / "knock.flac").write_bytes(encode_knock(note.ringing))
     write_fit(place, 79, fit_document(true_note(79), ERRORS))
     return place
@@ -78,7 +78,7 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
         at = borrowed.number == k
-        drive = force_of(stroke, float(bare.hammer.v_H0)).drive(borrowed.pole[at])
+        drive = force_pulse(stroke, float(bare.hammer.v_H0)).drive(borrowed.pole[at])
         part = np.abs(borrowed.pattern[:, at].mean(axis=0) * drive) * bare.gain
         envelope = np.exp(np.outer(seconds, np.real(borrowed.pole[at]))) @ part
         energy = (envelope**2 * np.exp(-2 * sigma * seconds)).sum()

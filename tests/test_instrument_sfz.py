@@ -18,7 +18,7 @@ from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler, parse_keys
-from pianofit.export.layers import crossfade_layers, format_keys, key_ranges, layer_velocities, without_gaps
+from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
 from pianofit.instrument.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
@@ -158,7 +158,7 @@ def test_the_readme_says_whose_it_is_and_what_is_a_guess(sampler, tmp_path):
     assert "recordings of the key: E1 G3 G5\n" in text
     assert "keyboard laws): none" in text
     done = export_sampler(PIANO, tmp_path / "twin", [60, 64], SHORT)
-    assert (done.keys, done.guesses, done.transposed) == (2, 2, 6)
+    assert (done.keys, done.unrecorded, done.transposed) == (2, 2, 6)
     text = (tmp_path / "twin" / "README.txt").read_text()
     assert "No licence" in text
     assert "keyboard laws): C4 E4\n" in text
@@ -273,7 +273,7 @@ def test_every_third_key_leaves_no_key_out():
 @given(st.sets(st.integers(21, 108), min_size=1))
 def test_keys_in_addition_leave_no_key_between_silent(keys):
     chosen = sorted(keys)
-    filled = without_gaps(chosen)
+    filled = fill_gaps(chosen)
     assert {*chosen} <= {*filled}
     assert filled == sorted({*filled})
     covered = {key for low, high in key_ranges(filled) for key in range(low, high + 1)}
@@ -290,8 +290,10 @@ def test_ranges_of_keys_are_named():
 def test_an_export_says_which_keys_are_silent(tmp_path):
     done = export_sampler(PIANO, tmp_path / "some", KEYS, SHORT)
     played = {key for low, high in key_ranges(KEYS) for key in range(low, high + 1)}
-    assert done.silent == [key for key in range(21, 109) if key not in played]
-    assert f"Silent: {format_keys(done.silent)}\n" in (tmp_path / "some" / "README.txt").read_text(encoding="utf-8")
+    assert done.silent_keys == [key for key in range(21, 109) if key not in played]
+    assert f"Silent: {format_keys(done.silent_keys)}\n" in (tmp_path / "some" / "README.txt").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_an_export_of_nothing_is_refused(tmp_path):

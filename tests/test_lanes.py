@@ -17,7 +17,7 @@ from pianofit.inference.batched_model import (
     levels_per_string,
     run_in_batches,
 )
-from pianofit.inference.parametrisation import ABSENT, STRING_SIZE
+from pianofit.inference.parametrisation import LOG_ABSENT_LOSS, STRING_SIZE
 from pianofit.model import simulate
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
@@ -40,12 +40,12 @@ STULOV = RelaxingHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
 def entries_of(hammer: Hammer | RelaxingHammer, geometry: Geometry) -> np.ndarray:
     """Batch entries of a hammer and its strike position; K_H as the force at the reference compression."""
     values = (
-        dict.fromkeys(ENTRIES, np.exp(ABSENT))
+        dict.fromkeys(ENTRIES, np.exp(LOG_ABSENT_LOSS))
         | hammer._asdict()
         | {"x0": geometry.strike_position, "width": geometry.width}
     )
     values |= {"K_H": hammer.K_H * np.exp(hammer.p * LOG_U)}
-    return np.log([max(float(values[name]), np.exp(ABSENT)) for name in ENTRIES])
+    return np.log([max(float(values[name]), np.exp(LOG_ABSENT_LOSS)) for name in ENTRIES])
 
 
 BATCH = np.stack([entries_of(*case) for case in HAMMERS])

@@ -208,7 +208,7 @@ def test_what_was_integrated_out_is_estimated_as_a_dense_gaussian_would(shape):
         pull = np.linalg.solve(total[np.ix_(detected, detected)], cov[detected]).T
         mean = mean + share * pull @ residual.ravel()[detected]
         variance = variance + share * (np.diag(cov) - np.einsum("ij,ji->i", pull, cov[detected]))
-    common = np.einsum("rg,gk->rk", t.group, found.common)
+    common = np.einsum("rg,gk->rk", t.group, found.path)
     np.testing.assert_allclose((common + found.columns).ravel(), mean, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(common + found.columns + found.own, residual, atol=1e-9)
+    np.testing.assert_allclose(common + found.columns + found.residual, residual, atol=1e-9)
     np.testing.assert_allclose(np.ravel(found.variance), variance, rtol=1e-6, atol=1e-7)

@@ -32,7 +32,7 @@ def questions() -> list[Question]:
     for velocity in (0.6, 0.8):
         t, f = np.arange(RATE) / RATE, 2000 * velocity
         sounds = {
-            name: listening_page.TestSound(
+            name: listening_page.ListeningSound(
                 name,
                 f"{velocity} m/s",
                 np.pad((n + 1) * np.exp(-3 * t) * np.sin(f * (n + 1) * t), (400, 0)),

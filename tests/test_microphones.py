@@ -19,10 +19,10 @@ from pianofit.result.cross_validation import cross_validate
 
 def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
     problem = build_problem(*through(MICROPHONES), strokes_of(MICROPHONES))
-    layout = problem.layout
+    layout = problem.structure
     assert layout.stroke == (0, 1, 2, 1)
     assert layout.group == (0, 0, 0, 1)
-    assert problem.unknowns.strokes == 3
+    assert problem.parametrisation.strokes == 3
     assert problem.measured_velocity == (None, None, VELOCITIES[2])
     assert problem.reference == 2
     assert layout.path_identifiable
@@ -33,7 +33,7 @@ def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
     entries = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in setup.recordings]
     problem = build_problem(*through(MICROPHONES), replace(setup, recordings=tuple(entries)))
     assert problem.measured_velocity == (None, 1.5, VELOCITIES[2])
-    assert not problem.unknowns.free[-2:].any()
+    assert not problem.parametrisation.free[-2:].any()
 
 
 def test_the_shared_velocity_is_found_and_shown_alike():

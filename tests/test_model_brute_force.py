@@ -99,7 +99,7 @@ def test_partials_of_other_instruments(name):
     contact = model.contact_rate(string, geometry, rate)
     modes = cases.table(string, geometry, rate=contact, n_modes=128, strike_weights=weights)
     pulse = cases.strike(modes, hammer, steps=1024)
-    assert bool(pulse.over)
+    assert bool(pulse.contact_ended)
     up = hit.poles.imag > 0
     order = np.argsort(hit.poles[up].imag)[:partials]
     poles, amplitudes = hit.poles[up][order], 2 * hit.amplitudes[up][order]

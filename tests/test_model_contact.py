@@ -227,13 +227,13 @@ def test_contact_is_followed_until_it_is_over_for_good(name):
     string, hammer, geometry = RETURNS[name]
     for steps in (512, 2048, 8192):
         _, pulse = cases.hit(string, hammer, geometry, RATE, steps=steps)
-        if bool(pulse.over):
+        if bool(pulse.contact_ended):
             break
-    assert bool(pulse.over)
+    assert bool(pulse.contact_ended)
     assert _touches(pulse.force) >= 2
     _, longer = cases.hit(string, hammer, geometry, RATE, steps=4 * steps)
     assert np.all(np.asarray(longer.force[steps:]) == 0)
-    assert bool(longer.over)
+    assert bool(longer.contact_ended)
     assert _relative(longer.force[:steps], pulse.force) < 1e-9
 
 
@@ -243,8 +243,8 @@ def test_an_interruption_is_not_taken_for_the_end():
     assert float(part.force[-1]) == 0.0
     assert float(part.compression[-1]) < 0.0
     assert np.asarray(whole.force[64:]).max() > 0.0
-    assert not bool(part.over)
-    assert bool(whole.over)
+    assert not bool(part.contact_ended)
+    assert bool(whole.contact_ended)
 
 
 EXTREMES = {
@@ -261,7 +261,7 @@ def test_simulate_holds_at_the_edges(name):
     string, hammer, geometry = EXTREMES[name]
     done = model.simulate(string, hammer, geometry, rate=44_100.0)
     _check_scheme(string, hammer, geometry, done.modes, done.pulse)
-    assert bool(done.pulse.over)
+    assert bool(done.pulse.contact_ended)
     y = done.waveform(44_100.0, 4410)
     assert y.shape == (4410,)
     assert np.all(np.isfinite(y))

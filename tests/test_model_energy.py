@@ -112,7 +112,7 @@ def _felt_work(hammer, rate: float, steps: int) -> float:
     """Net work of the felt from first to last touch, over the initial energy of the hammer."""
     _, pulse = cases.hit(STRING, hammer, GEOMETRY, rate, steps=steps)
     u = np.asarray(pulse.compression)
-    assert bool(pulse.over)
+    assert bool(pulse.contact_ended)
     work = float(np.sum(0.5 * np.asarray(pulse.drive)[1:] * np.diff(u)))
     return work / (0.5 * hammer.M_H * hammer.v_H0**2)
 

@@ -12,7 +12,7 @@ from pianofit.errors import ParameterError
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note, arrival
-from pianofit.model.output_path import OutputPath, filtered, impulse
+from pianofit.model.output_path import OutputPath, apply_filter, impulse_response
 from pianofit.result.alignment import estimate_contact_onset, fractional_lag, locate_template
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds fewer than two
@@ -101,7 +101,7 @@ def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
 
 def test_a_response_is_causal_and_of_the_path_s_levels():
     path, rate = steep(1), 44_100
-    response = impulse(path, rate)
+    response = impulse_response(path, rate)
     transfer = np.exp(-2j * np.pi * np.outer(path.frequency, np.arange(len(response))) / rate) @ response
     np.testing.assert_allclose(20 * np.log10(np.abs(transfer)), path.db, atol=0.1)
     # The inverse of a minimum-phase response is causal too.
@@ -115,7 +115,7 @@ def test_a_long_sound_goes_through_a_filter_block_by_block():
     random = np.random.default_rng(3)
     for length in (1, 50, 1000, 20_000):
         sound, response = random.normal(size=length), random.normal(size=300)
-        np.testing.assert_allclose(filtered(sound, response), np.convolve(sound, response), atol=1e-10)
+        np.testing.assert_allclose(apply_filter(sound, response), np.convolve(sound, response), atol=1e-10)
 
 
 def test_a_note_is_a_pytree_whose_quantity_is_static():

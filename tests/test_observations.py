@@ -48,7 +48,7 @@ def test_what_is_absent_stands_at_its_bound():
     calibrated = observe([nowhere], ALONE, 0, 0.0, False, False)
     assert calibrated.number.tolist() == [1, 2, 3]
     assert bounds(calibrated.level) == {(0, 1): -50.0}
-    assert calibrated.level.variance[0, 1] == priors.ABSENT_MARGIN**2
+    assert calibrated.level.variance[0, 1] == priors.CENSORED_MARGIN**2
 
 
 def test_columns_are_gains_and_onsets():
@@ -60,7 +60,7 @@ def test_columns_are_gains_and_onsets():
     # With an onset that is late by 1 s, every partial has decayed by its own α.
     np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(alpha)))
     late = np.hypot(priors.ONSET, priors.ONSET_PERIODS / F0)
-    apart = [[priors.GAIN, x, x, late, late] for x in priors.GAINS_APART]
+    apart = [[priors.GAIN, x, x, late, late] for x in priors.GAIN_DEVIATION]
     np.testing.assert_allclose(table.scale, apart)
     shared = observed(RecordingStructure((0, 1), (0, 0), (0, 0))).level
     np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]])
@@ -76,7 +76,7 @@ def test_nodes_are_of_paths_and_of_gains():
     nodes, weight = priors.path_nodes()
     np.testing.assert_allclose(np.exp(table.log_weight), weight[:, None] / 2 * np.ones(2))
     np.testing.assert_allclose(table.log_tau[:, 0], nodes)
-    assert (table.log_tau[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAINS_APART[1])
+    assert (table.log_tau[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAIN_DEVIATION[1])
     assert observed(MICROPHONES).level.scale.shape == (1, 2 + 2)  # two paths without a shared gain
 
 
@@ -148,7 +148,9 @@ def test_a_law_of_decays_goes_through_the_cloud_of_partials_that_beat():
         recording = beating(seed)
         found = analyse(recording, f0=110.0)
         problem = build_problem([recording], [found], Setup())
-        law = string_law(fit_string(problem).theta[0, :4], found.partials.number, problem.start.geometry.length)[0][1]
+        law = string_law(
+            fit_string(problem).theta[0, :4], found.partials.number, problem.initial_values.geometry.length
+        )[0][1]
         above.append(np.mean(found.partials.decay > law))
         over.append(np.median(found.partials.decay / law))
     assert np.mean(above) == pytest.approx(0.5, abs=0.15)
@@ -172,5 +174,5 @@ def test_the_strings_law_has_the_derivatives_it_says():
 
 def test_partials_above_the_top_stand_in_no_table():
     high = analysis([1, 20, 40], [0.0, -20.0, -30.0])
-    assert frequency(np.array([40]))[0] > observation_tables.HIGHEST
+    assert frequency(np.array([40]))[0] > observation_tables.HIGHEST_HZ
     assert observe([high], ALONE, 0, 0.0, True, True).number.max() == 20

@@ -23,7 +23,7 @@ from pianofit.model.modes import mode_frequencies
 from pianofit.playback import Song, render_song
 from pianofit.playback.voice import StringVoice, damper_rate
 from pianofit.web import write_page
-from pianofit.web.payload import Knocks, encode_note, intervals, payload
+from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, intervals
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -67,15 +67,15 @@ def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(stroke
     """Below the slowest stroke, at it, and above the fastest; also with a single stroke."""
     note = ringing_note(52)
     assert note.ringing is not None
-    part = note.ringing.participation
+    part = note.ringing.velocity_gain
     assert part is not None
     assert 0.2 < part.velocity[0] == 0.5 < part.velocity[-1] < 8.0
     part = VelocityGain(part.velocity[strokes], part.factor[strokes])
-    note = note._replace(ringing=note.ringing._replace(participation=part))
+    note = note._replace(ringing=note.ringing._replace(velocity_gain=part))
     (sound,) = play([job(encode_note(note, 52), struck(velocity))])
     expected = note.render(velocity, seconds=1.0, rate=RATE, mono=False)
     assert error_db(sound[:, early(note) :], expected) < WITHIN
-    without = note._replace(ringing=note.ringing._replace(participation=None))
+    without = note._replace(ringing=note.ringing._replace(velocity_gain=None))
     assert error_db(expected, without.render(velocity, seconds=1.0, rate=RATE, mono=False)) > -40
 
 
@@ -270,7 +270,7 @@ def test_the_sliders_have_the_intervals_of_the_instrument():
         "p": {"value": "x", "interval": [1, 2]}, "B": {"value": 1, "interval": None}, "q": 3}}
         for row in document()["keys"]]})  # fmt: skip
     assert piano.values[60] == {"mu": (0.2, 0.1, 0.4)}
-    assert payload(piano, 1_000_000)[0]["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
+    assert encode_instrument(piano, 1_000_000)[0]["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
 
 
 def test_changes_of_the_string_move_measured_partials_with_it():
@@ -298,11 +298,11 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     done = write_page(tmp_path / "rung.html", rung)
     assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
     assert (done.keys, done.recorded) == (88, 1)
-    assert done.knocks in (Knocks(12_000, 8), Knocks(8_000, 8))
-    one = payload(rung._replace(notes={60: rung.notes[60]}), 1_000_000)
-    assert one[1] == Knocks(44_100, 16)
+    assert done.knocks in (KnockEncoding(12_000, 8), KnockEncoding(8_000, 8))
+    one = encode_instrument(rung._replace(notes={60: rung.notes[60]}), 1_000_000)
+    assert one[1] == KnockEncoding(44_100, 16)
     with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
-        payload(rung, 100_000)
+        encode_instrument(rung, 100_000)
 
 
 def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
@@ -311,7 +311,7 @@ def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
     knock = np.zeros_like(note.ringing.knock)
     knock[0, 600:900] = np.hanning(300)  # below 1 kHz
     note = note._replace(ringing=note.ringing._replace(pattern=0 * note.ringing.pattern, knock=40 * knock))
-    kept = Knocks(44_100, 16), Knocks(8000, 8)
+    kept = KnockEncoding(44_100, 16), KnockEncoding(8000, 8)
     best, least = (x[:, early(note) :] for x in play([job(encode_note(note, 60, how), struck(3.0)) for how in kept]))
     assert error_db(best, note.render(3.0, seconds=1.0, rate=RATE, mono=False)) < WITHIN
     assert -80 < error_db(least, best) < -40

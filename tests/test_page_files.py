@@ -16,8 +16,8 @@ from pianofit.instrument import Instrument, load_instrument, read_instrument
 from pianofit.instrument.document import LARGEST_FILE
 from pianofit.playback import load_song
 from pianofit.playback.midi import read_song
-from pianofit.web.payload import Knocks, encode_note, payload
-from pianofit.web.write import LARGEST_PAGE, OWN, write_page
+from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
+from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_page
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -41,7 +41,7 @@ def piano() -> Instrument:
 
 def saved(instrument: Instrument, changes: dict[int, dict[str, float]], volume: float = VOLUME) -> bytes:
     """The instrument.json that the page writes."""
-    document, _ = payload(instrument, LARGEST_PAGE - OWN)
+    document, _ = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
     return run([{"instrument": document, "changes": changes, "volume": volume}])[0][0]
 
 
@@ -53,7 +53,7 @@ def test_a_saved_instrument_sounds_as_the_page_plays_it():
         (sound,) = play([{"keys": {60: entry}, "changes": CHANGES[midi], "events": events, "blocks": BLOCKS}])
         expected = changed.notes[midi].render(2.5, seconds=1.0, rate=RATE, mono=False)
         assert error_db(VOLUME * sound[:, early(note) :], expected) < WITHIN
-    again, _ = payload(changed, LARGEST_PAGE)  # a page of what a page saved
+    again, _ = encode_instrument(changed, PAGE_BYTES)  # a page of what a page saved
     rows = {row["midi"]: row for row in again["keys"]}
     (sound,) = play([{"keys": {60: rows[52]}, "events": events, "blocks": BLOCKS}])
     expected = changed.notes[52].render(2.5, seconds=1.0, rate=RATE, mono=False)
@@ -97,15 +97,15 @@ def test_a_whole_page_is_saved_within_what_is_read():
     whole = true_instrument()
     whole = whole._replace(notes={midi: ringing_note(midi) for midi in whole.notes})
     text = saved(whole, {})
-    assert LARGEST_PAGE < len(text) < LARGEST_FILE
+    assert PAGE_BYTES < len(text) < LARGEST_FILE
     assert len(read_instrument(json.loads(text)).notes) == 88
 
 
 def test_the_script_leaves_the_room_for_an_instrument_that_is_counted_on(tmp_path):
     write_page(tmp_path / "piano.html", piano())
-    size = len(json.dumps(payload(piano(), LARGEST_PAGE)[0]))
-    assert (tmp_path / "piano.html").stat().st_size - size < OWN
-    assert payload(piano(), LARGEST_PAGE)[1] == Knocks(44_100, 16)
+    size = len(json.dumps(encode_instrument(piano(), PAGE_BYTES)[0]))
+    assert (tmp_path / "piano.html").stat().st_size - size < SCRIPT_BYTES
+    assert encode_instrument(piano(), PAGE_BYTES)[1] == KnockEncoding(44_100, 16)
 
 
 # MIDI files.

@@ -75,7 +75,7 @@ def test_what_is_struck_in_a_notebook_is_the_note(browser, tmp_path, make):
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
     page.goto(file.as_uri())
-    page.evaluate(OPEN, [widget.front_end(), widget.instrument_of(note)])
+    page.evaluate(OPEN, [widget.front_end(), widget.note_payload(note)])
     strike, wav, saved = (page.locator(".pianofit-note button").nth(i) for i in range(3))
     strike.focus()
     page.keyboard.press("Enter")

@@ -110,7 +110,7 @@ def mixture() -> Posterior:
 
 def test_an_interval_is_that_of_the_mixture():
     p, random, count = mixture(), np.random.default_rng(3), 400_000
-    which = random.choice(3, size=count, p=p.share)
+    which = random.choice(3, size=count, p=p.weight)
     draws = np.stack([random.multivariate_normal(m, c, size=count) for m, c in zip(p.mean, p.covariance, strict=True)])
     draws = draws[which, np.arange(count)]
     for change in (np.eye(4)[0], np.array([1.0, -2.0, 0.0, 0.5])):
@@ -122,21 +122,21 @@ def test_an_interval_is_that_of_the_mixture():
 def test_minima_that_differ_make_a_value_as_vague_as_its_interval():
     separate = Posterior(np.array([[0.0], [4.0]]), np.full((2, 1, 1), 0.01), np.array([0.6, 0.4]))
     low, high = separate.interval(np.ones(1))
-    assert separate.spread(np.ones(1)) == pytest.approx((high - low) / (2 * 1.96), rel=1e-4)
-    assert separate.spread(np.ones(1)) > 1
+    assert separate.sd(np.ones(1)) == pytest.approx((high - low) / (2 * 1.96), rel=1e-4)
+    assert separate.sd(np.ones(1)) > 1
 
 
 def test_one_minimum_has_a_gaussian_interval_and_what_is_held_none():
     one = Posterior(np.array([[1.0, 2.0]]), np.array([[[0.04, 0.0], [0.0, 0.0]]]), np.ones(1))
     assert one.interval(np.array([1.0, 0.0])) == pytest.approx((1 - 1.96 * 0.2, 1 + 1.96 * 0.2), abs=1e-4)
     assert one.interval(np.array([0.0, 1.0])) is None
-    assert one.spread(np.array([1.0, 7.0])) == pytest.approx(0.2, rel=1e-4)
-    assert one.spread(np.array([0.0, 1.0])) == 0.0
+    assert one.sd(np.array([1.0, 7.0])) == pytest.approx(0.2, rel=1e-4)
+    assert one.sd(np.array([0.0, 1.0])) == 0.0
 
 
 def test_holding_a_sum_conditions_on_it():
     p, fixed_sum = mixture(), np.array([1.0, 0.0, -1.0, 0.0])
-    fixed = p.given(fixed_sum)
+    fixed = p.condition_on(fixed_sum)
     for before, after in zip(p.covariance, fixed.covariance, strict=True):
         # Conditioned in coordinates with the sum as the first.
         turn = np.vstack([fixed_sum, np.eye(4)[1:]])
@@ -146,4 +146,4 @@ def test_holding_a_sum_conditions_on_it():
         np.testing.assert_allclose(after, back @ rest @ back.T, atol=1e-12)
         assert fixed_sum @ after @ fixed_sum == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_array_equal(fixed.mean, p.mean)
-    np.testing.assert_array_equal(p.given(np.zeros(4)).covariance, p.covariance)
+    np.testing.assert_array_equal(p.condition_on(np.zeros(4)).covariance, p.covariance)

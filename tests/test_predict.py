@@ -7,7 +7,7 @@ import pytest
 from observed_cases import analysis
 
 import pianofit
-from pianofit.fit_file import gains_of
+from pianofit.fit_file import relative_gains
 from pianofit.inference.priors import log_gain
 from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
 from pianofit.result.prediction import predict_recording
@@ -49,7 +49,7 @@ def test_what_strokes_leave_is_taken_along():
         found = predict_recording(note._replace(path=path), recorded)
         assert found.error_db < 0.05
         assert found.velocity == pytest.approx(velocity, rel=0.01)
-        assert predict_recording(note._replace(path=path._replace(wander=None)), recorded).error_db > 1.0
+        assert predict_recording(note._replace(path=path._replace(velocity_discrepancy=None)), recorded).error_db > 1.0
 
 
 def test_gains_that_agree_answer_for_the_next():
@@ -71,6 +71,6 @@ def test_gains_are_those_of_one_path():
         {"gain": 0.1, "group": 0, "first": False}, {"gain": -1.0, "group": 0, "first": True},
         {"gain": 5.0, "group": 1}, {"gain": None, "group": 0}, {"gain": 50.0, "group": 1},
     ]  # fmt: skip
-    assert gains_of({"recordings": rows}) == pytest.approx((-20.0, 0.0))
-    assert gains_of({"recordings": rows}, 2) == pytest.approx((0.0, 20.0))
-    assert gains_of({}) == (0.0,)
+    assert relative_gains({"recordings": rows}) == pytest.approx((-20.0, 0.0))
+    assert relative_gains({"recordings": rows}, 2) == pytest.approx((0.0, 20.0))
+    assert relative_gains({}) == (0.0,)

@@ -11,7 +11,7 @@ import pytest
 from instrument_cases import true_note
 
 import pianofit
-from pianofit.conversions import NORMAL
+from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import ParameterError
 from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
@@ -20,7 +20,9 @@ from pianofit.result.uncertainty_format import latex_name, latex_unit
 
 
 def quantity(value: float, sd: float, **more) -> pianofit.Quantity:
-    return pianofit.Quantity("M_H", value, "kg", (value - NORMAL * sd, value + NORMAL * sd), "fitted", "", **more)
+    return pianofit.Quantity(
+        "M_H", value, "kg", (value - HALF_WIDTH_95 * sd, value + HALF_WIDTH_95 * sd), "fitted", "", **more
+    )
 
 
 @pytest.mark.parametrize(
@@ -72,7 +74,7 @@ def test_there_is_an_uncertainty_where_the_interval_has_one():
     assert math.sqrt(it) == math.sqrt(2.277)
     # For a Gaussian of the logarithm it is the relative standard deviation, if that is small.
     for s, symmetric in ((0.01, True), (0.09, True), (0.12, False), (1.0, False)):
-        wide = replace(it, value=3.0, interval=(3 * math.exp(-NORMAL * s), 3 * math.exp(NORMAL * s)))
+        wide = replace(it, value=3.0, interval=(3 * math.exp(-HALF_WIDTH_95 * s), 3 * math.exp(HALF_WIDTH_95 * s)))
         assert (wide.sd is not None) == symmetric
         if symmetric:
             assert wide.sd == pytest.approx(3 * s, rel=0.02)

@@ -14,7 +14,7 @@ from twin_cases import FIRST, record_model
 import pianofit
 from pianofit.errors import FitError
 from pianofit.report import build
-from pianofit.result.reload import levels_of
+from pianofit.result.reload import stored_levels
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_with_its_recording_it_is_the_result_that_was_saved(made):
         np.testing.assert_array_equal(getattr(one.recording, name), getattr(other.recording, name))
     for field in dataclasses.fields(one.analysis.partials):
         np.testing.assert_array_equal(getattr(one.partials, field.name), getattr(other.partials, field.name))
-    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.as_played, other.as_played)):
+    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.final, other.final)):
         alike(mine.samples, theirs.samples, 1e-6)
         alike(mine.level, theirs.level)
     assert (one.criterion, one.levels) == (other.criterion, other.levels)
@@ -125,7 +125,7 @@ def test_missing_levels_and_initial_values_are_named(made):
         del row["partials"], row["v_H0_initial"]
     back = pianofit.Result.load(copied(folder, "incomplete", document))
     with pytest.raises(FitError, match="levels of recordings"):
-        levels_of(back.document, 0)
+        stored_levels(back.document, 0)
     with pytest.raises(FitError, match="initial v_H0"):
         back.plot.force()
 

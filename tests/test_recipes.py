@@ -17,13 +17,13 @@ from pianofit.bensa2005 import search as searching
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, SearchResult, fit_by_paper
 from pianofit.cli import main
-from pianofit.criterion import band_values, line_sigma, measure
+from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError
 from pianofit.inference.initial_values import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
-from pianofit.result.identifiability import STOPPED
+from pianofit.result.identifiability import NOT_CONVERGED
 
 FEW = 600
 
@@ -125,7 +125,7 @@ def criterion(string: String, hammer: Hammer, delay: float) -> dict[str, float]:
     late = round(delay * r.rate)
     sound = simulate(string, hammer, begin.geometry, rate=r.rate).waveform(r.rate, len(measured) + late)[late:]
     (cells, energy), (_, own) = (
-        measure(x, r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0)) for x in (measured, sound)
+        measure(x, r.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0)) for x in (measured, sound)
     )
     return band_values(own, energy, cells.spacing)
 
@@ -251,7 +251,7 @@ def test_a_search_that_stopped_is_said(monkeypatch):
     monkeypatch.setattr(searching, "ITERATIONS", 5)
     whole = document(recipe="global")
     assert not whole["converged"]
-    assert any(STOPPED in message for message in whole["messages"])
+    assert any(NOT_CONVERGED in message for message in whole["messages"])
 
 
 def test_values_at_a_bound_are_said():

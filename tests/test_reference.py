@@ -26,7 +26,7 @@ from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touc
 from pianofit import model
 from pianofit.bensa2005 import finite_difference
 from pianofit.model.contact import free_motion, impulse_amplitude
-from pianofit.model.damped_sums import ring
+from pianofit.model.damped_sums import sum_damped_exponentials
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -46,14 +46,14 @@ def _outputs(values, geometry, step, weights, displacement, velocity) -> dict:
     free = free_motion(modes, displacement, velocity)
     pulse = model.strike(modes, Hammer(*values[4:]), steps=STEPS, free=free)
     log_z = modes.pole * step
-    unit = ring(modes.pickup * impulse_amplitude(modes), log_z, STEPS)
+    unit = sum_damped_exponentials(modes.pickup * impulse_amplitude(modes), log_z, STEPS)
     delay = jnp.arange(STEPS)[:, None] - jnp.arange(STEPS)
     driven = jnp.where(delay >= 0, unit[jnp.abs(delay)], 0.0) @ pulse.drive
     return {
-        "velocity": driven + ring(modes.free_pickup * free.amplitude, log_z, STEPS),
+        "velocity": driven + sum_damped_exponentials(modes.free_pickup * free.amplitude, log_z, STEPS),
         "force": pulse.force,
         "compression": pulse.compression,
-        "ringing": ring(
+        "ringing": sum_damped_exponentials(
             model.modal_amplitudes(modes, pulse.drive, free), log_z, STEPS
         ),  # the velocity, after the contact
     }

@@ -36,7 +36,7 @@ from pianofit.report.html import asset
 from pianofit.report.page import FigureData, report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.text import STATUS, minima, modal_response_text, recontact_text, ringing_line, rows
+from pianofit.report.text import STATUS, minima, modal_response_line, modal_response_text, recontact_text, rows
 from pianofit.result.identifiability import STATUSES
 
 
@@ -535,11 +535,11 @@ def test_modal_response_is_drawn_described_and_playable(tmp_path, curves):
     ids=["modes", "law", "one recording"],
 )  # fmt: skip
 def test_text_and_line_name_the_render_model_and_all_errors(entry, model, errors):
-    for text in (modal_response_text(entry), ringing_line(entry)):
+    for text in (modal_response_text(entry), modal_response_line(entry)):
         assert model in text
         assert all(error in text for error in errors)
         assert ("not tested" in text) == (not errors)
-    assert "\n" not in ringing_line(entry)
+    assert "\n" not in modal_response_line(entry)
 
 
 def test_a_key_with_the_string_model_alone_has_no_table_and_no_third_line(tmp_path, curves):

@@ -100,7 +100,7 @@ def test_captions_name_no_colours(html):
 def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
     box = equations(example_fit(felt=law), LAWS[law].formula, path=True, modes=True)
     units = {row.symbol: row.unit for row in box["symbols"]}
-    for name, parameter in LAWS[law].boxes.items():
+    for name, parameter in LAWS[law].hammer_parameters.items():
         shown = units[SYMBOLS.get(name, name)]
         assert shown == ("" if parameter.unit == "1" else parameter.unit.replace("^p", "ᵖ"))
     for name, entry in (example_fit()["parameters"] | example_fit()["invariants"]).items():

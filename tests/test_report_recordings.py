@@ -29,7 +29,7 @@ from pianofit.felt import LAWS, RelaxingHammer
 from pianofit.inference.parametrisation import names_of
 from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
-from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
+from pianofit.report.build import felt_of, identifiability_of, paths_of, recordings_of, strokes_of
 from pianofit.report.figure_data import Felt, IdentifiabilityData
 from pianofit.report.identifiability_text import (
     CONDITIONAL,
@@ -272,7 +272,7 @@ def test_the_felts_band_is_what_chance_gives(memory):
 
 def test_half_widths_and_correlations_are_those_of_the_fit():
     result = fake_fit()
-    data = known_of(result)
+    data = identifiability_of(result)
     assert data is not None
     assert data.names == ("c", "kappa", "K_H", "p", "M_H")
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
@@ -294,15 +294,15 @@ def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     wide.covariance = scaled.covariance
     np.testing.assert_allclose(felt_of(scaled).force, felt_of(plain).force, rtol=1e-6)
     assert np.log(felt_of(wide).force[2, 20] / felt_of(plain).force[2, 20]) > 1
-    assert known_of(scaled).names == known_of(plain).names  # μ varies only with the scale
-    np.testing.assert_allclose(known_of(scaled).correlation, known_of(plain).correlation, atol=1e-6)
+    assert identifiability_of(scaled).names == identifiability_of(plain).names  # μ varies only with the scale
+    np.testing.assert_allclose(identifiability_of(scaled).correlation, identifiability_of(plain).correlation, atol=1e-6)
 
 
 def test_a_fit_without_intervals_claims_no_band():
     result = fake_fit(velocities=(2.0,))
     for entry in result.document["parameters"].values():
         entry["interval"] = None
-    assert known_of(result) is None
+    assert identifiability_of(result) is None
     felt = felt_of(result)
     np.testing.assert_array_equal(felt.force[1], felt.force[0])
     np.testing.assert_array_equal(felt.force[2], felt.force[0])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pianofit.model.modal_response import ModalResponse
-from pianofit.report.build import ringing_curves
-from pianofit.report.figures_modal_response import draw_ringing
+from pianofit.report.build import modal_response_curves
+from pianofit.report.figures_modal_response import draw_modal_response
 
 RATE, ONSET, F0 = 16_000, 800, 200.0
 NUMBER = np.arange(1, 9)
@@ -43,7 +43,7 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
 
 
 def test_envelopes_are_those_of_the_strongest_partials():
-    curves = ringing_curves(fake_result())
+    curves = modal_response_curves(fake_result())
     assert curves is not None
     assert [one.number for one in curves.envelopes] == [1, 2, 3, 4, 5, 6]
     for one in curves.envelopes:
@@ -63,7 +63,7 @@ def test_envelopes_are_those_of_the_strongest_partials():
 
 
 def test_levels_over_time_and_frequency_are_where_the_partials_are():
-    curves = ringing_curves(fake_result())
+    curves = modal_response_curves(fake_result())
     assert curves is not None
     assert curves.measured.shape == curves.played.shape == (len(curves.frequency), len(curves.time))
     assert 2.9 < curves.time[-1] <= 3.0
@@ -76,13 +76,13 @@ def test_levels_over_time_and_frequency_are_where_the_partials_are():
 
 
 def test_decays_are_those_of_the_modes():
-    curves = ringing_curves(fake_result())
+    curves = modal_response_curves(fake_result())
     assert curves is not None
     np.testing.assert_allclose([one.early for one in curves.decays], np.log(1e3) / DECAY)
 
 
 def test_a_key_by_its_law_has_two_envelopes_and_no_decays():
-    curves = ringing_curves(fake_result(rings=False))
+    curves = modal_response_curves(fake_result(rings=False))
     assert curves is not None
     assert curves.decays == ()
     assert all(one.fitted is None for one in curves.envelopes)
@@ -91,12 +91,15 @@ def test_a_key_by_its_law_has_two_envelopes_and_no_decays():
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5])
 def test_a_short_recording_is_drawn(seconds):
-    curves = ringing_curves(fake_result(seconds))
+    curves = modal_response_curves(fake_result(seconds))
     assert curves is not None
-    assert {name: len(panels) for name, panels in draw_ringing(curves).items()} == {"envelopes": 6, "spectrograms": 3}
+    assert {name: len(panels) for name, panels in draw_modal_response(curves).items()} == {
+        "envelopes": 6,
+        "spectrograms": 3,
+    }
 
 
 def test_a_fit_that_looked_for_no_modes_shows_none():
     result = fake_result()
     result.document = {}
-    assert ringing_curves(result) is None
+    assert modal_response_curves(result) is None

@@ -22,7 +22,7 @@ from pianofit.modal_response import (
     shared_response,
 )
 from pianofit.modal_response.bands import band, kernel_gain
-from pianofit.modal_response.esprit import Signals, poles_by_subspace, refined, standard_errors
+from pianofit.modal_response.esprit import Signals, poles_by_subspace, refine_poles, standard_errors
 from pianofit.model.modal_response import (
     ForcePulse,
     ModalResponse,
@@ -89,7 +89,7 @@ def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[AlignedLayers, li
         modes,
         estimate_shared_response(
             layers, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)
-        ).ringing,
+        ).response,
     )
 
 
@@ -118,8 +118,8 @@ def test_errors_of_poles_are_those_of_repeated_experiments(order):
         z = np.exp(np.outer(t, true)).sum(axis=1)
         z = z + 0.02 * (random.normal(size=len(t)) + 1j * random.normal(size=len(t))) / np.sqrt(2)
         signals = Signals(z[None], 1 / size[None], 1 / 200)
-        thin = signals.thinned()
-        pole = refined(poles_by_subspace(signals, np.ones(1), [order], 0.0)[order], signals, lambda p: p)
+        thin = signals.decimated()
+        pole = refine_poles(poles_by_subspace(signals, np.ones(1), [order], 0.0)[order], signals, lambda p: p)
         pole = pole[[int(np.argmin(np.abs(pole - p))) for p in true]]
         return pole - true, standard_errors(pole, thin, 1.0)
 
@@ -151,7 +151,7 @@ def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
     faint = np.array([1e-4, 1.0])[:, None, None]
     changed = [*modes[:-1], dataclasses.replace(modes[-1], amplitude=faint * modes[-1].amplitude)]
     patterns = [
-        estimate_shared_response(layers, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern
+        estimate_shared_response(layers, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).response.pattern
         for m in (modes, changed)
     ]
     loud = [20 * np.log10(np.abs(p[:, -len(modes[-1].pole) :]).sum()) for p in patterns]
@@ -187,7 +187,7 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
     layers = align_layers(recordings, analyses)
     found = estimate_shared_response(
         layers, modes_of(layers, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)
-    ).ringing
+    ).response
     with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
 
@@ -241,7 +241,7 @@ def cut_short(*seconds: float) -> tuple[AlignedLayers, list[PartialModes], list[
 @pytest.mark.parametrize("seconds", [(0.3,), (0.2,), (0.3, SECONDS), (0.12, SECONDS)])
 def test_the_knock_lasts_no_longer_than_any_layer_is_heard(seconds):
     layers, modes, forces = cut_short(*seconds)
-    knock = estimate_shared_response(layers, modes, forces, np.full(len(forces), 30.0)).ringing.knock
+    knock = estimate_shared_response(layers, modes, forces, np.full(len(forces), 30.0)).response.knock
     assert knock.shape[-1] / RATE == pytest.approx(0.012 + layers.seconds.min(), abs=2e-3)
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
@@ -252,7 +252,7 @@ def test_a_layer_that_ends_at_once_shows_no_modes():
 
 def test_a_force_keeps_its_impulse_at_every_rate():
     force = force_at(1.0)
-    total = force.newton.sum() * force.step
+    total = force.force.sum() * force.step
     for rate in (RATE, 44_100, 48_000):
         assert force.at(rate).sum() == pytest.approx(total, rel=1e-3)
     np.testing.assert_allclose(force.drive(np.zeros(1)), total, rtol=1e-12)
@@ -275,24 +275,24 @@ def test_a_stroke_rings_by_its_participation_and_pushes_in_silence():
     response = ModalResponse(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
     size = round(0.2 * RATE)
     soft, hard = (response.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
-    expected = response._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
+    expected = response._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], velocity_gain=None)
     after = slice(round(0.02 * RATE), None)
     np.testing.assert_allclose(hard[after], expected.sound(force_at(1.0), RATE, size)[0][after], atol=1e-9)
     low = signal.butter(6, 100, fs=RATE, output="sos")
     pushed, loud, quiet = (np.sum(signal.sosfilt(low, x) ** 2) for x in (
-        response._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
+        response._replace(knock=0 * knock, velocity_gain=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
     ))  # fmt: skip
     assert max(loud, quiet) < 1e-3 * pushed
     below = response.at(4_000)
-    assert below.participation is not None
-    assert below.participation.factor.shape == (2, 1)
+    assert below.velocity_gain is not None
+    assert below.velocity_gain.factor.shape == (2, 1)
 
 
 def test_levels_that_rise_faster_than_the_force_are_followed():
     """Every partial gains 2 dB for each e-fold of velocity."""
     response, velocities = truth(), np.array([0.6, 1.0, 1.7])
     slope = 10 ** (2.0 * np.log(velocities)[:, None] / 20)
-    louder = response._replace(participation=VelocityGain(velocities, slope * np.ones(len(response.pole))))
+    louder = response._replace(velocity_gain=VelocityGain(velocities, slope * np.ones(len(response.pole))))
     recordings = []
     for v in velocities:
         sound = louder.sound(force_at(v), RATE, round(SECONDS * RATE))[0]
@@ -303,9 +303,9 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
     layers = align_layers(recordings, analyses)
     found = estimate_shared_response(
         layers, modes_of(layers, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)
-    ).ringing
-    assert found.participation is not None
-    ratio = np.abs(found.participation.factor[2] / found.participation.factor[0])
+    ).response
+    assert found.velocity_gain is not None
+    ratio = np.abs(found.velocity_gain.factor[2] / found.velocity_gain.factor[0])
     # Three strokes hardly distinguish a walk from individual deviations of strokes, so the slope is underestimated.
     # Where the force spectrum is 60 dB down, the partial could be interfering sound only.
     strong = len(MODES[1]) + len(MODES[2])

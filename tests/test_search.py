@@ -52,7 +52,7 @@ def samples(optimiser: Optimiser, count: int) -> np.ndarray:
 
 def test_the_string_is_read_off_its_partials():
     np.testing.assert_allclose(np.exp(string()), STRING, rtol=2e-5)
-    start = np.exp(problem().unknowns.mean[:4])
+    start = np.exp(problem().parametrisation.mean[:4])
     assert (np.abs(start / np.array(STRING) - 1) > 5e-6).all()  # it began elsewhere
 
 
@@ -71,8 +71,8 @@ def test_a_descent_never_raises_F():
     # Its F is that of a candidate created anew at the same point.
     anew = optimiser.initialise(candidates.theta, candidates.phi, candidates.w, candidates.offset)
     np.testing.assert_allclose(optimiser.total(anew), optimiser.total(candidates), rtol=1e-10)
-    low, high = p.unknowns.bounds_at(candidates.theta)
-    assert ((candidates.theta >= low) & (candidates.theta <= high))[:, p.unknowns.free].all()
+    low, high = p.parametrisation.bounds_at(candidates.theta)
+    assert ((candidates.theta >= low) & (candidates.theta <= high))[:, p.parametrisation.free].all()
 
 
 def test_what_went_down_a_parabola_is_then_judged_by_F():
@@ -95,15 +95,15 @@ def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is()
     """φ and w of levels, frequencies and decays are minimised with θ, from their priors."""
     optimiser, best = Optimiser(problem()), found().minima
     priors = [np.asarray(table.prior[0]) for table in optimiser.tables]
-    candidates = optimiser.initialise(best.people.theta, priors, offset=best.people.offset)
+    candidates = optimiser.initialise(best.candidates.theta, priors, offset=best.candidates.offset)
     before = np.inf
     for _ in range(40):
         candidates = optimiser._lm_step(candidates, 0.0, None)
         now = float(optimiser.total(candidates)[0])
         assert now <= before + 1e-9
         before = now
-    assert now == pytest.approx(best.F[0], abs=0.01)
-    for mine, theirs in zip(candidates.phi, best.people.phi, strict=True):
+    assert now == pytest.approx(best.nll[0], abs=0.01)
+    for mine, theirs in zip(candidates.phi, best.candidates.phi, strict=True):
         np.testing.assert_allclose(mine[0, 0], theirs[0, 0], atol=0.02)
 
 
@@ -132,7 +132,7 @@ def test_a_descent_sorts_and_ends_where_F_is_flat():
     _, gradient, curvature = optimiser.prior(candidates.theta)
     derivatives = candidates.level.derivatives
     gradient, curvature = gradient + derivatives.gradient, curvature + derivatives.curvature
-    free = optimiser.is_free & ~problem().unknowns.at_bound(candidates.theta[0])
+    free = optimiser.is_free & ~problem().parametrisation.at_bound(candidates.theta[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     left = 0.5 * g @ np.linalg.solve(H, g)
     assert left < 1e-2  # remaining decrease of F
@@ -147,41 +147,43 @@ def test_a_descent_sorts_and_ends_where_F_is_flat():
 
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():
-    theta = found().z
-    values = dict(zip(problem().unknowns.names, np.exp(problem().unknowns.log_values(theta)), strict=False))
-    values |= {"v_H0": np.exp(theta[problem().unknowns.shared])}
+    theta = found().theta
+    values = dict(
+        zip(problem().parametrisation.names, np.exp(problem().parametrisation.log_values(theta)), strict=False)
+    )
+    values |= {"v_H0": np.exp(theta[problem().parametrisation.shared])}
     assert values["M_H"] == pytest.approx(HAMMER.M_H, rel=1e-3)
     assert values["v_H0"] == pytest.approx(HAMMER.v_H0, rel=1e-3)
     assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
     assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
     assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
-    u = np.exp(problem().unknowns.log_reference_compression)
-    assert np.exp(theta[problem().unknowns.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
+    u = np.exp(problem().parametrisation.log_reference_compression)
+    assert np.exp(theta[problem().parametrisation.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
 
 
 def test_on_the_edge_of_K_H_the_force_follows_p():
     """K_H is fixed there: p determines the force, and F rises by a half in one standard deviation."""
     low = build_problem([tone()], [played()], replace(setup(), bounds={"K_H": (1e8, 0.1 * HAMMER.K_H)}))
-    one, u = map_estimate(low, 0), low.unknowns
+    one, u = map_estimate(low, 0), low.parametrisation
     force, p = u.force_and_exponent_index
-    assert u.at_bound(one.z)[force]
-    assert not u.at_bound(one.z)[p]
+    assert u.at_bound(one.theta)[force]
+    assert not u.at_bound(one.theta)[p]
     cov = one.posterior.covariance[0]
     assert not cov[force].any()
-    slope = np.exp(one.z[p]) * u.log_reference_compression
+    slope = np.exp(one.theta[p]) * u.log_reference_compression
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
     first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
-    assert first.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
-    optimiser, best = one.minima.descent, one.minima.people.take(np.array([0]))
+    assert first.sd(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
+    optimiser, best = one.minima.optimiser, one.minima.candidates.take(np.array([0]))
     inner = np.flatnonzero(cov.diagonal() > 0)
-    theta = np.tile(u.log_values(one.z), (2, 1))
+    theta = np.tile(u.log_values(one.theta), (2, 1))
     theta[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
     moved = optimiser.initialise(u.from_log_values(theta), best.phi, best.w, best.offset)
     for _ in range(20):  # until φ and w have converged
         parts = (optimiser._update_nuisances(*pair, 0.0) for pair in zip(optimiser.tables, moved.parts, strict=True))
         moved = replace(moved, parts=tuple(parts))
-    assert (optimiser.total(moved) - one.minima.F[0]).mean() == pytest.approx(0.5, abs=0.15)
+    assert (optimiser.total(moved) - one.minima.nll[0]).mean() == pytest.approx(0.5, abs=0.15)
     document = build_result(InferenceResult(low, one, 0, None)).document
     assert document["parameters"]["K_H"]["status"] == "at-bound"
     assert document["invariants"]["F/M_S"]["status"] in ("at-bound", "not-identifiable")
@@ -190,16 +192,16 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
 
 def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
     again = map_estimate(problem(), 0)
-    np.testing.assert_array_equal(again.z, found().z)
-    np.testing.assert_array_equal(again.minima.F, found().minima.F)
+    np.testing.assert_array_equal(again.theta, found().theta)
+    np.testing.assert_array_equal(again.minima.nll, found().minima.nll)
     np.testing.assert_array_equal(again.posterior.covariance, found().posterior.covariance)
     other = found(1)
-    np.testing.assert_allclose(other.z, found().z, atol=2e-3)
-    assert other.minima.F[0] == pytest.approx(found().minima.F[0], abs=0.05)
+    np.testing.assert_allclose(other.theta, found().theta, atol=2e-3)
+    assert other.minima.nll[0] == pytest.approx(found().minima.nll[0], abs=0.05)
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    optimiser, u = Optimiser(problem(), string(), LEVELS), problem().unknowns
+    optimiser, u = Optimiser(problem(), string(), LEVELS), problem().parametrisation
     theta = np.tile(u.mean, (4, 1))
     theta[1, u.index_of("M_H")] += 0.001 * u.sd[u.index_of("M_H")]
     theta[2, u.index_of("M_H")] += 0.5 * u.sd[u.index_of("M_H")]
@@ -216,10 +218,10 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
     deviation = np.sqrt(covariance[0].diagonal())
     mean[1] += 0.5 * deviation  # within the first
     mean[2] += 5.0 * deviation
-    minima = one.minima.take(np.zeros(3, int))._replace(F=np.array([1.0, 1.5, 1.2]))
+    minima = one.minima.take(np.zeros(3, int))._replace(nll=np.array([1.0, 1.5, 1.2]))
     kept, posterior = _deduplicate(minima, Posterior(mean, covariance, np.array([0.2, 0.4, 0.4])))
-    np.testing.assert_array_equal(kept.F, [1.2, 1.0])
-    np.testing.assert_allclose(posterior.share, [2 / 3, 1 / 3])
+    np.testing.assert_array_equal(kept.nll, [1.2, 1.0])
+    np.testing.assert_allclose(posterior.weight, [2 / 3, 1 / 3])
     np.testing.assert_array_equal(posterior.mean, mean[[2, 0]])
 
 
@@ -228,12 +230,12 @@ def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
     model = optimiser.model
     monkeypatch.setattr(optimiser, "model", lambda *x: (model(*x)[0], np.zeros(len(x[0]), bool)))
     with pytest.raises(FitError, match=r"\[bounds\]"):
-        multistart(optimiser, 0, problem().unknowns.mean)
+        multistart(optimiser, 0, problem().parametrisation.mean)
 
 
 def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatch):
     held = Optimiser(problem(), string(), LEVELS)
-    candidates = held.initialise(problem().unknowns.mean[None], [initial_hyperparameters(held)])
+    candidates = held.initialise(problem().parametrisation.mean[None], [initial_hyperparameters(held)])
     own = fit_string(problem())
     model = Optimiser.model
     monkeypatch.setattr(Optimiser, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
@@ -245,9 +247,9 @@ def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatc
 def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
     """The true velocity lies outside."""
     bounded = build_problem([tone()], [played()], replace(setup(), bounds={"v_H0": (low, high)}))
-    one, at = map_estimate(bounded), bounded.velocity
+    one, at = map_estimate(bounded), bounded.reference_velocity_index
     bound = low if HAMMER.v_H0 < low else high
-    assert np.exp(one.z[at]) == pytest.approx(bound, rel=1e-9)
+    assert np.exp(one.theta[at]) == pytest.approx(bound, rel=1e-9)
     document = build_result(InferenceResult(bounded, one, 0, None)).document
     assert document["parameters"]["v_H0"]["status"] == "at-bound"
     assert document["recordings"][0]["v_H0_status"] == "at-bound"
@@ -265,11 +267,11 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
         sound = np.pad(0.5 * sound / np.abs(sound).max(), (rate // 10, 0))
         recordings.append(recording_from_samples(sound + 1e-4 * noise.standard_normal(len(sound)), rate))
     posed = build_problem(recordings, [analyse(one, note="F3") for one in recordings], setup_from_dict({}, "here"))
-    one, u = map_estimate(posed, seed), posed.unknowns
-    mass = np.exp(one.posterior.mean[0, u.index_of("M_H")]) / posed.start.geometry.mass
+    one, u = map_estimate(posed, seed), posed.parametrisation
+    mass = np.exp(one.posterior.mean[0, u.index_of("M_H")]) / posed.initial_values.geometry.mass
     low, high = one.posterior.interval(np.eye(u.size)[u.index_of("M_H")])
     true = note.hammer.M_H / note.geometry.mass
-    assert np.exp(low) / posed.start.geometry.mass < true < np.exp(high) / posed.start.geometry.mass
+    assert np.exp(low) / posed.initial_values.geometry.mass < true < np.exp(high) / posed.initial_values.geometry.mass
     assert mass == pytest.approx(true, rel=0.01)
 
 
@@ -290,10 +292,10 @@ def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     """With the true hammer at a wrong velocity, the best of the fine grid is the true velocity."""
     p = problem()
     optimiser = Optimiser(p, string(), LEVELS)
-    theta = found().z.copy()
+    theta = found().theta.copy()
     theta[: len(string())] = string()
     surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
-    at = p.unknowns.shared
+    at = p.parametrisation.shared
     for factor in (0.2, 0.5, 3.0):
         away = theta.copy()
         away[at] += np.log(factor)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.errors import SetupError
-from pianofit.felt import BOXES, LAWS
+from pianofit.felt import ALL_PARAMETERS, LAWS
 from pianofit.io.files import printable
 from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, load_setup, recording_info_for, setup_from_dict
 
@@ -111,10 +111,10 @@ def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
     assert len(message) < 300 + len(bad.bad_file(tmp_path))
 
 
-@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("name", ALL_PARAMETERS)
 @pytest.mark.parametrize("table", ["fixed", "initial"])
 def test_parameters_stay_in_their_box(name, table):
-    box = BOXES[name]
+    box = ALL_PARAMETERS[name]
     law = next(
         n for n, law in LAWS.items() if name in law.parameters or not any(name in x.parameters for x in LAWS.values())
     )

@@ -12,7 +12,7 @@ from conftest import CHECKED
 from jaxtyping import TypeCheckError
 
 import pianofit as pf
-from pianofit.model.damped_sums import ring, transform
+from pianofit.model.damped_sums import sum_damped_exponentials, z_transform
 
 SOURCE = Path(pf.__file__).parent
 ROWS = np.full(3, -0.1 + 1j)
@@ -31,14 +31,14 @@ def test_every_module_that_writes_shapes_is_checked():
 
 
 def test_rows_that_differ_are_refused():
-    assert ring(ROWS, ROWS, 64).shape == (64,)
+    assert sum_damped_exponentials(ROWS, ROWS, 64).shape == (64,)
     with pytest.raises(TypeCheckError, match="log_z"):
-        ring(ROWS, np.full(4, -0.1 + 1j), 64)
+        sum_damped_exponentials(ROWS, np.full(4, -0.1 + 1j), 64)
 
 
 def test_a_table_in_place_of_a_row_is_refused():
     with pytest.raises(TypeCheckError, match="signal"):
-        transform(np.ones((64, 1)), ROWS)
+        z_transform(np.ones((64, 1)), ROWS)
 
 
 def test_a_real_array_in_place_of_a_complex_one_is_refused():

@@ -11,13 +11,13 @@ import pytest
 
 from pianofit import preset
 from pianofit.bensa2005.spectral_criterion import (
-    Scene,
+    SearchConstants,
     StaticConfig,
+    criterion_gradients,
     damped_spectrum,
     fix_string,
     residuals,
     spectral_goal,
-    struck_gradients,
 )
 from pianofit.model import mode_table, simulate
 from pianofit.model.contact import strike as contact
@@ -34,7 +34,9 @@ LAST = 20
 CFG = StaticConfig(MODES, STEPS, "velocity")
 LOG_U = float(np.log(1e-4))
 WIDE = np.full(5, -99.0), np.full(5, 99.0)
-SCENE = Scene(Geometry(*map(np.float64, TRUE.geometry)), *map(np.asarray, (float(RATE), LOG_U, [-99.0, 99.0])))
+SCENE = SearchConstants(
+    Geometry(*map(np.float64, TRUE.geometry)), *map(np.asarray, (float(RATE), LOG_U, [-99.0, 99.0]))
+)
 
 
 @functools.cache
@@ -108,7 +110,7 @@ def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cu
     n = min(RATE, int(np.ceil(14 / sigma * RATE)))
     mine = damped_spectrum(wave(which=which)[:n], RATE, np.asarray(g.frequency), sigma)
     expected = cost_of(np.abs(mine) ** 2, g)
-    cost, _ = struck_gradients(searched(it)[None], g, SCENE, CFG)
+    cost, _ = criterion_gradients(searched(it)[None], g, SCENE, CFG)
     # The window of a whole stroke ends where it ends for the middle of the stroke.
     assert float(cost[0]) == pytest.approx(expected, rel=2e-4, abs=2e-6)
     held = fix_string(jnp.asarray(searched(it)), *WIDE, g, SCENE, CFG)
@@ -118,7 +120,7 @@ def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cu
 def test_the_fast_path_is_the_plain_one():
     g = goal(30.0)
     for it in (TRUE, OTHER):
-        fast = float(struck_gradients(searched(it)[None], g, SCENE, CFG)[0][0])
+        fast = float(criterion_gradients(searched(it)[None], g, SCENE, CFG)[0][0])
         assert fast == pytest.approx(cost_of(plain_energy(it, g), g), rel=1e-5, abs=1e-10)
 
 
@@ -200,7 +202,7 @@ def test_the_gradient_is_the_papers_formula():
     here, moved, weight = y(z), central(y, z), np.asarray(g.weight).ravel()
     apart = weight**2 * (np.abs(here) ** 2 - np.asarray(g.energy).ravel())
     formula = 4 * (apart * (here.conj() * moved).real).sum(axis=1)
-    slope = np.asarray(struck_gradients(z[None], g, SCENE, CFG)[1])[0]
+    slope = np.asarray(criterion_gradients(z[None], g, SCENE, CFG)[1])[0]
     np.testing.assert_allclose(slope, formula, rtol=1e-4, atol=1e-6)
 
 
@@ -209,15 +211,15 @@ def test_the_fast_paths_derivatives_agree_with_differences():
     z = searched(TRUE) + 0.003 * np.arange(9)
 
     def nine(at: np.ndarray) -> float:
-        return float(struck_gradients(at[None], g, SCENE, CFG)[0][0])
+        return float(criterion_gradients(at[None], g, SCENE, CFG)[0][0])
 
-    slope = np.asarray(struck_gradients(z[None], g, SCENE, CFG)[1])[0]
+    slope = np.asarray(criterion_gradients(z[None], g, SCENE, CFG)[1])[0]
     np.testing.assert_allclose(slope, central(nine, z, 1e-6), rtol=1e-5, atol=1e-7)
     held = fix_string(jnp.asarray(z), *WIDE, g, SCENE, CFG)
-    np.testing.assert_allclose(held.slope(z[4:])[1], slope[4:], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(held.value_and_gradient(z[4:])[1], slope[4:], rtol=1e-8, atol=1e-10)
     many = z[4:] + 0.01 * np.random.default_rng(0).normal(size=(40, 5))
     np.testing.assert_allclose(held.costs(many), 0.5 * (held.residuals(many)[0] ** 2).sum(axis=1), rtol=1e-9)
-    assert held.slope(many[7])[0] == pytest.approx(held.costs(many)[7], rel=1e-9)
+    assert held.value_and_gradient(many[7])[0] == pytest.approx(held.costs(many)[7], rel=1e-9)
 
 
 def test_a_contact_that_does_not_end_and_a_felt_out_of_bounds_are_infinitely_bad():
@@ -225,7 +227,7 @@ def test_a_contact_that_does_not_end_and_a_felt_out_of_bounds_are_infinitely_bad
     z = searched(TRUE)
     held = fix_string(jnp.asarray(z), *WIDE, g, SCENE, CFG)
     heavy = z[4:] + np.array([0.0, 0.0, 0.0, np.log(100.0), 0.0])
-    narrow = SCENE._replace(stiff=np.log([1e3, 1e9]))
+    narrow = SCENE._replace(log_stiffness_bounds=np.log([1e3, 1e9]))
     assert np.isinf(held.costs(heavy[None])[0])
     assert np.isinf(fix_string(jnp.asarray(z), *WIDE, g, narrow, CFG).costs(z[None, 4:])[0])
     assert np.isfinite(held.costs(z[None, 4:])[0])

@@ -37,9 +37,9 @@ def warnings_of(strokes, speeds, p: float = 0.0, groups=(None, None, None), anal
         for true, v, group in zip(SPEEDS, speeds, groups, strict=True)
     )
     problem = build_problem(recordings, analyses or strokes[1], Setup(recordings=layers))
-    z = problem.unknowns.mean.copy()
-    at = problem.unknowns.index_of("p")
-    z[at] += p * problem.unknowns.sd[at]
+    z = problem.parametrisation.mean.copy()
+    at = problem.parametrisation.index_of("p")
+    z[at] += p * problem.parametrisation.sd[at]
     return contradictory_velocities(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z)))
 
 

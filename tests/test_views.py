@@ -18,11 +18,11 @@ from pianofit import ParameterError, Setup, analyse, fit, recording_from_samples
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.felt import DEFAULT_LAW, LAWS
 from pianofit.inference import InferenceResult, build_problem, map_estimate, nuts
-from pianofit.inference.density import density_context, log_density, reflect_into_bounds, start
+from pianofit.inference.density import density_context, log_density, random_start, reflect_into_bounds
 from pianofit.inference.intervals import (
     check_intervals,
     compute_intervals,
-    named,
+    parameter_indices,
     reported_parameters,
     unbounded_warnings,
 )
@@ -97,7 +97,7 @@ def test_invariants_are_those_of_the_view():
 @pytest.mark.parametrize("law", LAWS)
 def test_names_are_those_of_the_felt_s_law(law):
     """The covariance and the draws contain only the parameters of the felt law."""
-    names = named(build_problem([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
+    names = parameter_indices(build_problem([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
     assert {*names} == {*STRING_NAMES, *LAWS[law].parameters, "M_H", "x0", "width", "v_H0"}
     if law == DEFAULT_LAW.name:
         covariance = build_result(InferenceResult(posed(), fitted(), 0)).covariance
@@ -108,12 +108,12 @@ def test_names_are_those_of_the_felt_s_law(law):
 
 def test_an_interval_ends_at_its_box_and_says_so():
     problem, found = posed(), fitted()
-    i = problem.unknowns.index_of("M_H")
+    i = problem.parametrisation.index_of("M_H")
     low, high = np.log(build_result(InferenceResult(problem, found, 0)).parameters["M_H"].interval)
     middle = 0.5 * (low + high)
-    upper = problem.unknowns.upper.copy()
+    upper = problem.parametrisation.upper.copy()
     upper[i] = middle + 0.25 * (high - low)
-    tight = replace(problem, unknowns=replace(problem.unknowns, upper=upper))
+    tight = replace(problem, parametrisation=replace(problem.parametrisation, upper=upper))
     mass = build_result(InferenceResult(tight, found, 0)).parameters["M_H"]
     assert mass.interval_open == ("high",)
     np.testing.assert_allclose(np.log(mass.interval), [low, upper[i]])
@@ -149,7 +149,7 @@ def test_a_profile_rises_to_its_ends_and_says_how():
 
 @pytest.mark.parametrize("name", ["p", "K_H"])
 def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
-    i, u = reported_parameters(posed())[name], posed().unknowns
+    i, u = reported_parameters(posed())[name], posed().parametrisation
     mean, sd = fitted().posterior.mean[0, i], fitted().posterior.covariance[0, i, i] ** 0.5
     bound = mean + sd
     if i == FORCE:
@@ -158,7 +158,7 @@ def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
         upper = u.upper.copy()
         upper[i] = bound
         bounded = replace(u, upper=upper)
-    profile = _Profile(replace(posed(), unknowns=bounded), fitted())
+    profile = _Profile(replace(posed(), parametrisation=bounded), fitted())
     branch = profile.trace_branch(i, 1.0)
     assert branch.open
     assert branch.end == bound
@@ -181,11 +181,11 @@ def test_where_k_h_is_held_the_force_follows_p():
 @pytest.mark.slow
 def test_a_profile_that_finds_lower_ground_says_so():
     minima = fitted().minima
-    theta = minima.people.theta.copy()
-    worse = fitted()._replace(minima=minima._replace(F=minima.F + 2.0), posterior=fitted().posterior)
+    theta = minima.candidates.theta.copy()
+    worse = fitted()._replace(minima=minima._replace(nll=minima.nll + 2.0), posterior=fitted().posterior)
     view = profiles(posed(), worse)
     assert any("lower by 2" in text for text in view.messages)
-    np.testing.assert_array_equal(theta, minima.people.theta)
+    np.testing.assert_array_equal(theta, minima.candidates.theta)
 
 
 def test_open_ends_are_named():
@@ -218,12 +218,12 @@ def density():
 def test_the_density_is_that_of_f_with_its_gradient():
     at, density_of = density()
     key = jax.random.PRNGKey(0)
-    value, slope = density_of(start(at, key, 0.0))
-    assert float(value) == pytest.approx(-fitted().minima.F[0], abs=1e-6)
+    value, slope = density_of(random_start(at, key, 0.0))
+    assert float(value) == pytest.approx(-fitted().minima.nll[0], abs=1e-6)
     np.testing.assert_allclose(slope.whitened, 0.0, atol=0.02)
     for log_w in slope.log_w:
         np.testing.assert_allclose(log_w, 0.0, atol=0.02)
-    point, step = start(at, key, 0.5), 1e-4
+    point, step = random_start(at, key, 0.5), 1e-4
     _, slope = density_of(point)
     flat, unravel = jax.flatten_util.ravel_pytree(point)
     exact = np.asarray(jax.flatten_util.ravel_pytree(slope)[0])
@@ -234,10 +234,10 @@ def test_the_density_is_that_of_f_with_its_gradient():
 
 def test_folding_keeps_the_inside_and_mirrors_the_rest():
     at, _ = density()
-    near = start(at, jax.random.PRNGKey(1), 1.0).whitened
+    near = random_start(at, jax.random.PRNGKey(1), 1.0).whitened
     inside = reflect_into_bounds(at, near)
     np.testing.assert_allclose(inside, at.theta + at.root @ near, atol=1e-12)
-    u = posed().unknowns
+    u = posed().parametrisation
     for far in np.random.default_rng(0).normal(0, 3000, (50, len(near))):
         theta = np.asarray(reflect_into_bounds(at, jnp.asarray(far)))
         assert np.isfinite(theta).all()
@@ -253,13 +253,13 @@ def test_folding_keeps_the_inside_and_mirrors_the_rest():
 def known_excess() -> tuple[FitProblem, Estimate]:
     """The same with every excess, and all other φ, given to 1 %: the posterior of θ is then nearly Gaussian."""
     problem, minima = posed(), fitted().minima
-    o, best = problem.observed, minima.people.take(np.array([0]))
+    o, best = problem.observed, minima.candidates.take(np.array([0]))
     pairs = zip((o.level, o.frequency, o.decay), best.phi, strict=True)
     tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     optimiser = Optimiser(problem)
     candidates = optimiser.minimise(optimiser.initialise(best.theta, best.phi, best.w, best.offset), 0.0, 60)
-    minima = minima._replace(descent=optimiser, candidates=candidates, F=optimiser.total(candidates))
+    minima = minima._replace(optimiser=optimiser, candidates=candidates, nll=optimiser.total(candidates))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
 
@@ -290,13 +290,13 @@ def test_the_same_seed_draws_the_same_and_another_does_not(monkeypatch):
 
 
 def test_an_end_that_the_box_cuts_off_is_open():
-    u, i = posed().unknowns, P
+    u, i = posed().parametrisation, P
     sd = 0.1
     upper = u.upper.copy()
     upper[i] = fitted().posterior.mean[0, i] + 0.5 * sd
     normal = fitted().posterior.mean[0, i] + sd * np.random.default_rng(0).normal(size=(4, 4000))
     log = np.where(normal > upper[i], 2 * upper[i] - normal, normal)
-    entry = nuts._entry(replace(posed(), unknowns=replace(u, upper=upper)), i, log)
+    entry = nuts._entry(replace(posed(), parametrisation=replace(u, upper=upper)), i, log)
     assert entry["interval_open"] == ["high"]
     assert np.log(entry["interval"][1]) == pytest.approx(upper[i])
     assert nuts._entry(posed(), i, normal)["interval_open"] == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pianofit.result.velocity_discrepancy import NOTHING, smooth_random_walk, stroke_deviations
+from pianofit.result.velocity_discrepancy import UNINFORMATIVE_ERROR, smooth_random_walk, stroke_deviations
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -45,7 +45,7 @@ def test_what_all_strokes_have_is_none_of_their_differences():
     error, weight = np.full(walk.shape, 0.1), np.ones(walk.shape)
     np.testing.assert_allclose(stroke_deviations(walk, error, weight, velocity)[1], 0.0, atol=1e-9)
     _, wanders, _ = drawn_walks(0.3, 0.0, 0.0, 2)
-    error[1:, :7], weight[1:, :7] = NOTHING, 0.0
+    error[1:, :7], weight[1:, :7] = UNINFORMATIVE_ERROR, 0.0
     velocities, found = stroke_deviations(wanders, error, weight, velocity)
     np.testing.assert_allclose(velocities, velocity)
     np.testing.assert_allclose(found[:, :7], 0.0, atol=1e-3)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["BEAT", "NORMAL", "hertz_of", "midi_of"]
+__all__ = ["BEATING_DB", "HALF_WIDTH_95", "hertz_of", "midi_of"]
 
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.
-NORMAL = 1.959964
+HALF_WIDTH_95 = 1.959964
 # Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.
-BEAT = 1.5
+BEATING_DB = 1.5
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

@@ -21,8 +21,8 @@ import numpy as np
 from .analysis import law_frequency
 
 __all__ = [
-    "BANDS", "ENOUGH_DAMPING", "NODES", "WIDEST_SIGMA", "Cells", "band_of",
-    "band_values", "borders", "cell_grid", "closed_form_gain", "level_error_db", "line_sigma", "measure",
+    "BANDS", "ENOUGH_DAMPING", "NODES", "WIDEST_SIGMA", "SpectralCells", "band_of",
+    "band_values", "band_borders", "cell_grid", "closed_form_gain", "level_error_db", "damping_for", "measure",
 ]  # fmt: skip
 
 BANDS = ("band1", "band2", "band3")
@@ -38,7 +38,7 @@ MIN_SPACING_LINEWIDTHS = 16.0
 ENOUGH_DAMPING = 14.0
 
 
-class Cells(NamedTuple):
+class SpectralCells(NamedTuple):
     """Frequencies at which spectra are compared on the damped circle of `sigma`, 1/s."""
 
     frequency: np.ndarray  # Hz, [partials, nodes]
@@ -46,12 +46,12 @@ class Cells(NamedTuple):
     sigma: float
 
 
-def line_sigma(f0: float) -> float:
+def damping_for(f0: float) -> float:
     """σ, 1/s, for lines that tolerate errors of a few cents while the partials of `f0`, Hz, stay separate."""
     return min(WIDEST_SIGMA, 2 * np.pi * f0 / MIN_SPACING_LINEWIDTHS)
 
 
-def borders(f0: float, B: float, last: int) -> tuple[float, ...]:
+def band_borders(f0: float, B: float, last: int) -> tuple[float, ...]:
     """Band edges, Hz: below the fundamental, 1|2, 8|9, and above partial `last`."""
     k = np.array([0.5, 1.5, 8.5, max(last, 9) + 0.5])
     return tuple(law_frequency(f0, B, k).tolist())
@@ -62,7 +62,7 @@ def band_of(number: np.ndarray) -> np.ndarray:
     return np.searchsorted([2, 9], number, side="right")
 
 
-def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -> Cells:
+def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -> SpectralCells:
     """Cells of partials 1 to `last`, with nodes at whole multiples of `resolution`, Hz."""
     k = np.arange(1, last + 1)
     centre = law_frequency(f0, B, k)
@@ -71,10 +71,12 @@ def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -
     high = np.minimum(law_frequency(f0, B, k + 0.5), centre + half)
     spacing = np.maximum(np.round((high - low) / NODES / resolution), 1) * resolution
     first = np.round((centre - spacing * (NODES - 1) / 2) / resolution) * resolution
-    return Cells(first[:, None] + spacing[:, None] * np.arange(NODES), spacing, sigma)
+    return SpectralCells(first[:, None] + spacing[:, None] * np.arange(NODES), spacing, sigma)
 
 
-def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float) -> tuple[Cells, np.ndarray]:
+def measure(
+    samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float
+) -> tuple[SpectralCells, np.ndarray]:
     """Cells of partials 1 to `last`, and |S|² of `samples` (from the onset on) there [partials, nodes], unit² · s²."""
     n = min(len(samples), int(np.ceil(ENOUGH_DAMPING / sigma * rate)))
     # At least 16 bins for each linewidth, so that rounding a node to a bin has no effect.

@@ -12,30 +12,38 @@ from typing import Any
 import numpy as np
 
 from .errors import FitError, ParameterError
-from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
+from .felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
 from .io.audio import RATES
 from .io.files import (
     FIT_SCHEMA,
-    LARGEST_FIT,
+    MAX_FIT_BYTES,
     array_of,
     is_increasing,
     load_json,
     path_name,
     printable,
-    reference_of,
+    reference_row,
     require_finite,
+    require_table,
     short_repr,
-    table_of,
 )
 from .io.number_format import is_number
-from .modal_response_file import MOST_STROKES, read_ringing
+from .modal_response_file import MOST_STROKES, read_modal_response
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.output_path import OutputPath, VelocityDiscrepancy
 from .model.simulate import check_geometry
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 
-__all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
+__all__ = [
+    "fit_path",
+    "load_note",
+    "relative_gains",
+    "notes_of_minima",
+    "note_from_document",
+    "read_fit",
+    "read_output_path",
+]
 
 # Largest number of points of an output path, far more than a string has partials.
 MOST_POINTS = 4096
@@ -60,7 +68,7 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
     FitError
         If the file is not a `fit.json` of this schema; the message names it.
     """
-    document = load_json(path, LARGEST_FIT, "a fit.json", HINT)
+    document = load_json(path, MAX_FIT_BYTES, "a fit.json", HINT)
     if not isinstance(document, dict) or document.get("schema") != FIT_SCHEMA:
         schema = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(
@@ -95,22 +103,22 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
     >>> note.render(3.0, seconds=0.5, rate=rate).shape
     (22050,)
     """
-    return note_of(read_fit(fit_path(path)), fit_path(path), felt)
+    return note_from_document(read_fit(fit_path(path)), fit_path(path), felt)
 
 
-def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
+def note_from_document(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
     """`load_note` from the content of the file at `path`."""
     name = printable(path)
-    table, law = table_of(document, "parameters", name, HINT), _law_of(document, name, felt)
-    needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
+    table, law = require_table(document, "parameters", name, HINT), _law_of(document, name, felt)
+    needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.hammer_parameters))
     values = {key: _number(table, key, name) for key in needed}
-    values |= {key: _number(table, key, name) for key in BOXES if key in table and key not in values}
+    values |= {key: _number(table, key, name) for key in ALL_PARAMETERS if key in table and key not in values}
     string, hammer = _string_and_hammer(values, name, law)
-    pickup = table_of(document, "pickup", name, HINT)
+    pickup = require_table(document, "pickup", name, HINT)
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
-    index, row = reference_of(document.get("recordings"))
+    index, row = reference_row(document.get("recordings"))
     if not row:
         raise FitError(f"{name}: recordings is empty; {HINT}")
     gain, rate = (require_finite(row.get(key), f"{name}: recordings[{index}].{key}", HINT) for key in ("gain", "rate"))
@@ -118,8 +126,8 @@ def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -
         raise FitError(f"{name}: recordings[{index}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
         string, hammer, _geometry(table, quantity, name), quantity, gain,
-        read_path(pickup.get("path"), f"{name}: pickup.path", HINT),
-        read_ringing(document.get("ringing"), path.parent, name),
+        read_output_path(pickup.get("path"), f"{name}: pickup.path", HINT),
+        read_modal_response(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
 
@@ -137,22 +145,22 @@ def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLa
     return LAWS.get(str(named)) if felt is None else felt
 
 
-def gains_of(document: dict[str, Any], index: int | None = None) -> tuple[float, ...]:
+def relative_gains(document: dict[str, Any], index: int | None = None) -> tuple[float, ...]:
     """Gains of all recordings in the path group of one, dB relative to it: the reference recording, or row `index`."""
     rows = [row for row in document.get("recordings") or () if isinstance(row, dict)]
-    row = reference_of(rows)[1] if index is None else rows[index]
+    row = reference_row(rows)[1] if index is None else rows[index]
     values = [row.get("gain"), *(other.get("gain") for other in rows if other.get("group") == row.get("group"))]
     size = [abs(float(gain)) if is_number(gain) and gain else np.nan for gain in values]
     gains = 20 * np.log10(np.array(size[1:]) / size[0])
     return tuple(gains[np.isfinite(gains)].tolist()) or (0.0,)
 
 
-def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
+def notes_of_minima(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
     """Pairs of posterior weight and note for all minima, the best first; errors as in `load_note`.
 
     Only the best note has the modal response.
     """
-    (note, _), name = note_of(document, path, felt), printable(path)
+    (note, _), name = note_from_document(document, path, felt), printable(path)
     law = _law_of(document, name, felt)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
@@ -185,7 +193,7 @@ def _note_of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -
         columns = {"frequency": path.frequency.tolist(), "db": entry.get("path_db")}
         columns |= {} if path.decay is None else {"decay": path.decay.tolist()}
         columns |= {"wander": entry.get("path_wander")}
-        path = read_path(columns, f"{where}.path", HINT)
+        path = read_output_path(columns, f"{where}.path", HINT)
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
 
@@ -216,7 +224,7 @@ def _number(table: dict, key: str, name: str) -> float:
     return require_finite(value, f"{name}: parameters.{key}", HINT)
 
 
-def read_path(entry: Any, where: str, hint: str) -> OutputPath | None:
+def read_output_path(entry: Any, where: str, hint: str) -> OutputPath | None:
     """Read an output path or None. Errors begin with `where` and end with `hint`."""
     if entry is None:
         return None

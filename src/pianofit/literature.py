@@ -114,7 +114,7 @@ HAMMERS = (
 )
 # Number of strings of a note over the MIDI number, in grand pianos: from one in the low bass to three. A model of one
 # string uses the share of one string in hammer mass and felt force.
-COURSES = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
+STRINGS_PER_KEY = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
 # Share of one string: half of the mass above at C2, a third at C4 and C7. Only for comparison with the table.
 CHAIGNE_HAMMERS = (
     PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
@@ -283,7 +283,7 @@ TABLES: dict[str, list[tuple[float, float]]] = {
     "B": [(s.midi, _inharmonicity(s)) for s in STRINGS],
     "b1": [(loss.midi, loss.b1) for loss in LOSSES],
     "b2": [(loss.midi, loss.b2) for loss in LOSSES],
-    "strings": COURSES,
+    "strings": STRINGS_PER_KEY,
     "M_H": [(h.midi, h.M_H) for h in HAMMERS],
     "K_H": [(h.midi, h.K_H) for h in HAMMERS],
     "p": [(h.midi, h.p) for h in HAMMERS],

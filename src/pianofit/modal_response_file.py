@@ -11,10 +11,10 @@ import numpy as np
 
 from .errors import FitError
 from .io.audio import RATES
-from .io.files import MOST_CHANNELS, array_of, encode_pcm, is_increasing, read_file, require_finite
+from .io.files import MAX_CHANNELS, array_of, encode_pcm, is_increasing, read_file, require_finite
 from .model.modal_response import ModalResponse, VelocityGain
 
-__all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
+__all__ = ["KNOCK_FILE", "encode_knock", "read_modal_response", "modal_response_document"]
 
 KNOCK_FILE = "knock.flac"
 # Largest file of a knock, bytes: half a second of eight channels at the highest rate.
@@ -34,7 +34,7 @@ MAGIC = {"flac": b"fLaC", "wav": b"RIFF"}
 HINT = "give the files that pianofit fit wrote"
 
 
-def ringing_document(ringing: ModalResponse, *, whole: bool = False) -> dict[str, Any]:
+def modal_response_document(ringing: ModalResponse, *, whole: bool = False) -> dict[str, Any]:
     """The modes as columns, Hz and 1/s, patterns per channel, velocity gain per stroke, and the knock.
 
     The entry of the knock names the file `KNOCK_FILE`. With `whole` it contains the knock itself, as FLAC of 16 bits in
@@ -48,7 +48,7 @@ def ringing_document(ringing: ModalResponse, *, whole: bool = False) -> dict[str
         "decay": -np.real(pole),
         "decay_error": error,
     }
-    part = ringing.participation
+    part = ringing.velocity_gain
     strokes = None if part is None else {"velocity": part.velocity.tolist(), "strokes": _rows(part.factor)}
     flac = encode_knock(ringing, 16 if whole else 24)
     knock = None
@@ -74,7 +74,7 @@ def encode_knock(ringing: ModalResponse, bits: int = 24) -> bytes | None:
     return encode_pcm(ringing.knock / size, ringing.rate, "flac", bits) if size else None
 
 
-def read_ringing(entry: Any, folder: Path | None, name: str) -> ModalResponse | None:
+def read_modal_response(entry: Any, folder: Path | None, name: str) -> ModalResponse | None:
     """Read the entry that `ringing_document` wrote; None if the key uses the string model alone.
 
     The knock is in the document, as FLAC or WAV in base64, or else a file in `folder`. Missing errors of modes count as
@@ -89,7 +89,7 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> ModalResponse | 
     modes = entry["modes"] if isinstance(entry.get("modes"), dict) else {}
     names = ("partial", "frequency", "decay", *(["decay_error"] if "decay_error" in modes else []))
     table, parts = array_of([modes.get(name) for name in names], None, None), _parts(entry.get("pattern"))
-    consistent = 1 <= table.shape[1] == parts.shape[2] <= MOST_MODES and len(parts) <= MOST_CHANNELS
+    consistent = 1 <= table.shape[1] == parts.shape[2] <= MOST_MODES and len(parts) <= MAX_CHANNELS
     if not (consistent and (np.abs(table) <= LARGEST_NUMBER).all() and (np.abs(parts) <= LARGEST_NUMBER).all()):
         raise FitError(
             f"{name}: ringing needs columns and patterns of equal length, with numbers up to {LARGEST_NUMBER:g}; {HINT}"

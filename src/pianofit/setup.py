@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import SetupError, check_type
-from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
+from .felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
 from .io.files import path_name, printable, read_text
 from .io.number_format import filled
 from .parameters import Parameter
@@ -25,7 +25,7 @@ from .parameters import Parameter
 __all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
-ON_THE_STRING = ("velocity", "displacement")  # these need a position
+STRING_PICKUPS = ("velocity", "displacement")  # these need a position
 MAX_BYTES = 2**20
 
 # Lower, upper, unit. A piano's strings are 0.05 to 2.3 m long and weigh 0.1 to 300 g.
@@ -39,7 +39,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
 # Parameters of any felt law.
 FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
 # Table and key of an attribute in a file. The other attributes have a table each.
-PLACES = {
+SETUP_KEYS = {
     "length": ("string", "length"), "mass": ("string", "mass"),
     "strike_position": ("strike", "position"), "strike_width": ("strike", "width"),
     "pickup_quantity": ("pickup", "quantity"), "pickup_position": ("pickup", "position"),
@@ -63,8 +63,8 @@ class RecordingInfo:
 
 # Tables of a file and their keys.
 KEYS: dict[str, tuple[str, ...]] = {
-    **{table: tuple(key for other, key in PLACES.values() if other == table) for table, _ in PLACES.values()},
-    **dict.fromkeys(("fixed", "initial", "bounds"), tuple(BOXES)),
+    **{table: tuple(key for other, key in SETUP_KEYS.values() if other == table) for table, _ in SETUP_KEYS.values()},
+    **dict.fromkeys(("fixed", "initial", "bounds"), tuple(ALL_PARAMETERS)),
     "recording": tuple(entry.name for entry in fields(RecordingInfo)),
 }
 
@@ -97,12 +97,12 @@ class Setup:
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {}
-        for name, (table, key) in PLACES.items():
+        for name, (table, key) in SETUP_KEYS.items():
             if key in RANGES and getattr(self, name) is not None:
                 checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
         _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
         _check_law(self.felt)
-        boxes = BOXES | self.law.boxes
+        boxes = ALL_PARAMETERS | self.law.hammer_parameters
         for name, check in (("fixed", _parameter_value), ("initial", _parameter_value), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
             checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
@@ -193,7 +193,7 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     check_type("setup=", data, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
     try:
         tables = {name: _entries(name, content) for name, content in data.items()}
-        given = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
+        given = {name: tables[table][key] for name, (table, key) in SETUP_KEYS.items() if key in tables.get(table, ())}
         given |= {name: tables[name] for name in ("fixed", "initial", "bounds") if name in tables}
         return Setup(**given, recordings=tuple(tables.get("recording", ())))
     except SetupError as error:
@@ -289,7 +289,7 @@ def _recording_info(entry: object, number: int) -> RecordingInfo:
     table = {key: value for key, value in given.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _parameter_value(value, key, where, BOXES[key])
+            table[key] = _parameter_value(value, key, where, ALL_PARAMETERS[key])
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
@@ -315,9 +315,9 @@ def _strike_contradictions(setup: Setup) -> Iterator[str]:
 def _pickup_contradictions(setup: Setup) -> Iterator[str]:
     """A position or a scale that does not fit the quantity."""
     quantity, position, scale = setup.pickup_quantity, setup.pickup_position, setup.pickup_scale
-    if quantity in ON_THE_STRING and position is None:
+    if quantity in STRING_PICKUPS and position is None:
         yield f'[pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it'
-    if quantity not in ON_THE_STRING and position is not None:
+    if quantity not in STRING_PICKUPS and position is not None:
         yield (f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use velocity or '
                "displacement, or remove the position")  # fmt: skip
     if quantity == "pressure" and scale is not None:

@@ -17,11 +17,11 @@ from .errors import ParameterError, check_range
 from .felt import law_of
 from .io.files import PEAK_LIMIT
 from .model import Simulation, simulate
-from .model.note import MOST_SECONDS, check_render
-from .model.simulate import MOST_STEPS
+from .model.note import MAX_SECONDS, check_render
+from .model.simulate import MAX_STEPS
 from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
-from .setup import ON_THE_STRING, PLACES, RANGES, RecordingInfo, Setup
+from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, RecordingInfo, Setup
 
 __all__ = ["SyntheticRecording", "setup_of", "setup_text", "synthetic_recording"]
 
@@ -110,7 +110,7 @@ def synthetic_recording(
     (10.0, 3.0)
     """
     check_render(None, seconds, rate)
-    check_range("seconds=", seconds, LEAD, MOST_SECONDS)
+    check_range("seconds=", seconds, LEAD, MAX_SECONDS)
     check_seed(seed)
     if scale is not None:
         check_range("scale=", scale, *RANGES["scale"][:2])
@@ -121,7 +121,7 @@ def synthetic_recording(
     note = stroke.waveform(rate, round(seconds * rate) - lead)
     scale = _scale(note, scale)
     samples = np.pad(note / scale, (lead, 0)) + _noise(note / scale, noise_db, seed, rate, lead)
-    names = (*String._fields, *law_of(hammer).boxes)
+    names = (*String._fields, *law_of(hammer).hammer_parameters)
     true = {key: float(value) for key, value in {**string._asdict(), **hammer._asdict()}.items() if key in names}
     setup = setup_of(hammer, geometry, quantity, scale, name)
     return SyntheticRecording(samples, rate, scale, setup, true, stroke, name)
@@ -130,7 +130,7 @@ def synthetic_recording(
 def _stroke(string: String, hammer: Any, geometry: Geometry, rate: int, quantity: str) -> Simulation:
     """Simulate the stroke with the shortest time steps that the step limit of `simulate` allows."""
     coarse = simulate(string, hammer, geometry, rate=rate, quantity=quantity)
-    refinement = min(MAX_REFINEMENT, MOST_STEPS // len(coarse.pulse.force))
+    refinement = min(MAX_REFINEMENT, MAX_STEPS // len(coarse.pulse.force))
     if refinement <= 1:
         return coarse
     oversampling = refinement * round(1.0 / (rate * float(coarse.modes.step)))
@@ -162,7 +162,7 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
     felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name
     return Setup(
         length=length, mass=mass, strike_position=strike, strike_width=width, pickup_quantity=quantity,
-        pickup_position=pickup if quantity in ON_THE_STRING else None,
+        pickup_position=pickup if quantity in STRING_PICKUPS else None,
         pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
         recordings=(RecordingInfo(file=name),), felt=felt if law.hammers is not None else law,
     )  # fmt: skip
@@ -171,7 +171,7 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
 def setup_text(setup: Setup) -> str:
     """The content of the `setup.toml` that `load_setup` reads as `setup`; its felt law must be built in."""
     tables: dict[str, list[str]] = {}
-    for attribute, (table, key) in PLACES.items():
+    for attribute, (table, key) in SETUP_KEYS.items():
         value = setup.law.name if attribute == "felt" else getattr(setup, attribute)
         if value is not None:
             unit = f"  # {UNITS[key]}" if key in UNITS else ""

@@ -4,16 +4,16 @@ from .analyse import analyse, beating_warning, check_analyses, count_beating
 from .analysis_result import Analysis, Partials
 from .inharmonicity import law_frequency
 from .level import energy_level
-from .note_names import SAME_KEY, cents_above, hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
-from .partials_text import COLUMNS, as_dict, rows
+from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, midi_to_note, nearest_note, note_to_hz, note_to_midi
+from .partials_text import COLUMNS, analysis_to_dict, partial_rows
 
 __all__ = [
     "COLUMNS",
-    "SAME_KEY",
+    "SAME_KEY_CENTS",
     "Analysis",
     "Partials",
     "analyse",
-    "as_dict",
+    "analysis_to_dict",
     "beating_warning",
     "count_beating",
     "cents_above",
@@ -22,8 +22,8 @@ __all__ = [
     "hz_to_note",
     "law_frequency",
     "midi_to_note",
-    "near_note",
+    "nearest_note",
     "note_to_hz",
     "note_to_midi",
-    "rows",
+    "partial_rows",
 ]

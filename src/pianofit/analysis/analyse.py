@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..conversions import BEAT
+from ..conversions import BEATING_DB
 from ..errors import AnalysisError, WrongNoteError, check_type
 from ..recording.recording import Recording, Source, to_recording
 from .analysis_result import Analysis, Partials
@@ -288,7 +288,7 @@ def _warnings(table: Partials, losses: DecayLaw, glide_cents: float, second_stro
 
 def count_beating(table: Partials) -> int:
     """Number of partials whose log envelope deviates from one exponential by more than `BEAT` dB."""
-    return int(np.sum(table.beating > BEAT))
+    return int(np.sum(table.beating > BEATING_DB))
 
 
 def beating_warning(table: Partials) -> str:
@@ -297,6 +297,6 @@ def beating_warning(table: Partials) -> str:
     if not deep:
         return ""
     return (
-        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEAT:g} dB: several strings "
-        "or polarisations beat, or the note was damped or cut"
+        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEATING_DB:g} dB: several "
+        "strings or polarisations beat, or the note was damped or cut"
     )

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 _DB = 20 / np.log(10)
-LONG = 2.0  # s of frames that determine a level: a longer span depends less on the phase of a beat
+LEVEL_FRAMES_SECONDS = 2.0  # s of frames that determine a level: a longer span depends less on the phase of a beat
 _MIN_WEIGHT_DECAY = 3.0  # 1/s, of the weight of these frames: late sound carries little information on the strike
 _MAX_DECAY = 100.0  # 1/s, upper bound of a decay law extrapolated far beyond the detected partials
 _MIN_SHARE = 0.1  # lower bound of the share of a band's energy that is attributed to the partial
@@ -45,7 +45,7 @@ def has_drifted(bands: Bands, fit: Exponentials) -> np.ndarray:
 def first_fits(bands: Bands, rounds: int = 3) -> tuple[np.ndarray, Exponentials]:
     """One exponential per partial over the whole recording, without leakage of neighbours: (cleaned z, fits)."""
     z, t = bands.z, bands.time
-    early = bands.cut(0.0, t[0] + 1.0)
+    early = bands.frames_within(0.0, t[0] + 1.0)
     fit = fit_exponentials(z[:, early], t[early], autocorrelation_poles(z[:, early], t[early], bands.window / 2))
     fit = fit_exponentials(z, t, fit.pole)
     for _ in range(rounds):
@@ -136,7 +136,7 @@ def fit_window(
 
     Poles stay within `reach` (1/s) of those of `fit`.
     """
-    cut = bands.cut(*span)
+    cut = bands.frames_within(*span)
     t = bands.time[cut]
     faded = fit_exponentials(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8, reach=reach)
     return with_errors(bands, cut, replace(faded, pole=faded.pole + damping), density, damping)
@@ -161,7 +161,7 @@ def measure_levels(
     density : one-sided noise density [partials]
     decay : 1/s [partials], which converts the energy of the frames to that of the level's span
     """
-    cut = bands.cut(0.0, bands.time[0] + LONG)
+    cut = bands.frames_within(0.0, bands.time[0] + LEVEL_FRAMES_SECONDS)
     t = bands.time[cut]
     alpha = np.clip(decay, 0.0, _MAX_DECAY)[:, None]
     fade = np.exp(-np.maximum(_MIN_WEIGHT_DECAY, alpha) * (t - t[0]))

@@ -51,7 +51,7 @@ def resolve_components(bands: Bands, z: NDArray[np.complex128], frame: np.ndarra
 
 
 def _resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Components:
-    frames = bands.cut(0.0, bands.time[0] + _SPAN)
+    frames = bands.frames_within(0.0, bands.time[0] + _SPAN)
     series, time = z[:, frames], bands.time[frames]
     power = np.mean(np.abs(series) ** 2, axis=1)
     vectors, step = _subspace(series, time)

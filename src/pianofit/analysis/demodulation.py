@@ -52,7 +52,7 @@ class Bands:
         size = fast_length(2 * frames)
         return size, np.abs(self.gain(2j * np.pi * np.fft.fftfreq(size, 1 / self.rate))) ** 2
 
-    def cut(self, start: float, stop: float, least: int = 8) -> slice:
+    def frames_within(self, start: float, stop: float, least: int = 8) -> slice:
         """Frames centred within `start`..`stop` s, at least `least` of them."""
         first = min(int(np.searchsorted(self.time, start - 1e-9)), max(len(self.time) - least, 0))
         return slice(first, max(int(np.searchsorted(self.time, stop + 1e-9)), first + least))

@@ -37,18 +37,18 @@ _LOUD = 30.0  # least power of a partial in a window, over the noise power of a 
 class PitchGlide(NamedTuple):
     """A pitch that falls as g exp(-t/τ). Frequencies are means over 0.2 to 1.0 s."""
 
-    start: float  # cents above these frequencies at the onset
+    start_cents: float  # cents above these frequencies at the onset
     tau: float  # s
 
     def relative_deviation(self, t: np.ndarray) -> np.ndarray:
         """Relative deviation of a partial from its frequency at t, s after the onset."""
         mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
-        return self.start / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
+        return self.start_cents / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
 
     def phase_advance_s(self, t: np.ndarray) -> np.ndarray:
         """Integral of the relative deviation, s: the advance of the phase over that of a constant pitch."""
         mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
-        return self.start / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
+        return self.start_cents / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
 
 
 def glide_windows(
@@ -63,7 +63,7 @@ def glide_windows(
     end = float(bands.time[-1])
     shift, spans = [], []
     for start, stop in _WINDOWS:
-        frames = bands.cut(start, stop - bands.window / 2 if start == 0 else stop, least=1)
+        frames = bands.frames_within(start, stop - bands.window / 2 if start == 0 else stop, least=1)
         t = bands.time[frames]
         if len(t) < 6 or (start > 0 and end < start + 0.5 * (min(stop, start + 1) - start)):
             shift.append(np.full(len(z), np.nan))

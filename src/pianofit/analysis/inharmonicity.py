@@ -20,7 +20,7 @@ CENTS = 1200 / np.log(2)  # cents per unit of log frequency
 B_RANGE = (1e-6, 2e-2)  # searched range of B; piano strings have 5e-5 to 2e-2
 _HUBER = 1.5  # standard deviations, where the weights begin to fall
 # From about this partial on, real strings deviate from the law by cents, growing as the cube of the number.
-TRUSTED = 10.0
+LAST_TRUSTED_PARTIAL = 10.0
 # Partials that predict the deviation of the next one: fewer are sensitive to beats, more do not follow the curve.
 NEIGHBOURS = 9
 
@@ -154,7 +154,7 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
 
 def _growth(k: np.ndarray) -> np.ndarray:
     """Growth of the deviation from the law at partials `k`, relative to low partials."""
-    return np.sqrt(1 + (k / TRUSTED) ** 6)
+    return np.sqrt(1 + (k / LAST_TRUSTED_PARTIAL) ** 6)
 
 
 def _stiff_line(

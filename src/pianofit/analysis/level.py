@@ -72,7 +72,7 @@ def absent_level_bounds(
         return np.zeros(0)
     decay = np.minimum(decay, _MAX_DECAY)
     bands = demodulate(samples[:rate], rate, frequency, _NULL * f0, skip)
-    frames = bands.cut(0.0, LEVEL_SECONDS, least=1)
+    frames = bands.frames_within(0.0, LEVEL_SECONDS, least=1)
     z, t = bands.z[:, frames], bands.time[frames]
     pole = -decay + 2j * np.pi * (frequency - bands.centre)
     wave = np.abs(bands.gain(pole) / 2)[:, None] * np.exp(-decay[:, None] * t)

@@ -9,10 +9,10 @@ from numbers import Integral
 from ..conversions import hertz_of, midi_of
 from ..errors import AnalysisError, check_type
 
-__all__ = ["SAME_KEY", "cents_above", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
+__all__ = ["SAME_KEY_CENTS", "cents_above", "hz_to_note", "midi_to_note", "nearest_note", "note_to_hz", "note_to_midi"]
 
 # Largest difference in pitch between recordings of one key, cents; the next key is 100 away.
-SAME_KEY = 40.0
+SAME_KEY_CENTS = 40.0
 HIGHEST_MIDI = 127  # highest note number of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
@@ -60,7 +60,7 @@ def cents_above(frequency: float, reference: float) -> float:
     return 1200 * math.log2(frequency / reference)
 
 
-def near_note(frequency: float) -> str:
+def nearest_note(frequency: float) -> str:
     """The note nearest to `frequency` (Hz) and the distance from it: "F#2 -4 cents"."""
     name = hz_to_note(frequency)
     return f"{name} {cents_above(frequency, note_to_hz(name)):+.0f} cents"

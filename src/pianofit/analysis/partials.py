@@ -48,11 +48,11 @@ _DEEP = 1.5  # dB rms, above which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms, below which one exponential is sufficient at any noise
 _COMPONENTS = 0.15  # share of the difference between one component and several that is a systematic error
 _TOLERANCE = 2.5  # standard errors due to noise by which two windows may differ
-_FAST = 0.6  # systematic error of a level, nepers, over the amplitude of the residual in the first window
-_SLOW = 0.5  # the same, over the amplitude of the beats within 2 s
+_FAST_BEAT_FACTOR = 0.6  # systematic error of a level, nepers, over the amplitude of the residual in the first window
+_SLOW_BEAT_FACTOR = 0.5  # the same, over the amplitude of the beats within 2 s
 _BEAT_VISIBLE = 0.03  # amplitude of the noise over that of the partial, below which a beat can be measured
 _NEAR = 2  # partials on either side from which a systematic error is estimated
-_FACTOR = 2.0  # log; upper bound of the change of a decay rate by beats
+_MAX_LOG_CHANGE = 2.0  # log; upper bound of the change of a decay rate by beats
 # Partials over which the correlation of systematic errors falls to 1/e; the value of most evidence on beating strings.
 _CORRELATION_LENGTH = 10.0
 _FREQUENCY_FLOOR = 5e-10  # relative; rounding and remaining leakage without any noise
@@ -179,7 +179,7 @@ def _decays(
     excess = np.where(clean, full.excess, early.excess)
     change = np.where(components.valid, _COMPONENTS * (decay - single), _beyond_noise(early, full, np.real))
     change = np.hypot(change, error * np.sqrt(excess)) / np.maximum(decay, _DECAY_FLOOR * law)
-    sd = law * _neighbour_rms(np.minimum(np.hypot(change, beat), _FACTOR))
+    sd = law * _neighbour_rms(np.minimum(np.hypot(change, beat), _MAX_LOG_CHANGE))
     decay = np.where(clean, -full.fit.pole.real, decay)
     return decay, np.hypot(error, _DECAY_FLOOR * decay), sd
 
@@ -217,7 +217,7 @@ def _levels(
     level, error, lag = measure_levels(bands, z, full, density, decay)
     residual = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
     fast = _shared(_fill_hidden(np.sqrt(residual), first.noise < _BEAT_VISIBLE**2 * first.fit.power))
-    return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * beat), lag
+    return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST_BEAT_FACTOR * fast, _SLOW_BEAT_FACTOR * beat), lag
 
 
 def _fill_hidden(size: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -243,7 +243,7 @@ def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tupl
 
     The second value is True where the noise is low enough for a beat to be measured.
     """
-    frames = bands.cut(0.0, max(2.0, bands.time[0] + 0.2))
+    frames = bands.frames_within(0.0, max(2.0, bands.time[0] + 0.2))
     power, t = np.abs(z[:, frames]) ** 2, bands.time[frames]
     weight = (power > 30 * frame[:, None]).astype(float)
     count = np.maximum(weight.sum(1), 1)

@@ -11,7 +11,7 @@ import numpy as np
 from .analysis_result import Analysis, Partials
 from .inharmonicity import CENTS, law_frequency
 
-__all__ = ["COLUMNS", "Column", "as_dict", "rows"]
+__all__ = ["COLUMNS", "Column", "analysis_to_dict", "partial_rows"]
 
 
 class Column(NamedTuple):
@@ -38,7 +38,7 @@ COLUMNS = (
 )
 
 
-def as_dict(analysis: Analysis) -> dict[str, Any]:
+def analysis_to_dict(analysis: Analysis) -> dict[str, Any]:
     """JSON-ready copy. Values that are not finite (unbounded errors) become None.
 
     Systematic covariances are replaced by standard deviations [partials], in Hz, 1/s and dB: `frequency_systematic`,
@@ -62,7 +62,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def rows(analysis: Analysis) -> list[tuple[float, ...]]:
+def partial_rows(analysis: Analysis) -> list[tuple[float, ...]]:
     """One tuple per partial, in the order of `COLUMNS`. Standard errors include noise and systematic errors."""
     table = analysis.partials
     cents = CENTS * np.log(table.frequency / law_frequency(analysis.f0, analysis.B, table.number))

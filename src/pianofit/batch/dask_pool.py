@@ -21,7 +21,7 @@ from ..recording.recording import MAX_BYTES
 from .job import Job, JobResult, fit_job
 from .process_pool import RunningJob, Work, WorkerLost, one_thread
 
-__all__ = ["Cluster", "check_cluster"]
+__all__ = ["DaskPool", "check_cluster"]
 
 TIMEOUT_S = 10.0  # s, for the scheduler to answer
 JOBS_PER_THREAD = 2  # jobs sent for every thread
@@ -33,7 +33,7 @@ def check_cluster() -> None:
     require_optional("distributed", "--scheduler", "cluster", ParameterError)
 
 
-class Cluster:
+class DaskPool:
     """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786, which run `work` on each job.
 
     With `by_value`, recordings are sent with the job. Otherwise workers read them at the same paths.
@@ -68,7 +68,7 @@ class Cluster:
         self.slots = 0
         self._count()
 
-    def __enter__(self) -> Cluster:
+    def __enter__(self) -> DaskPool:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from ..analysis.note_names import note_to_midi
 from ..errors import AnalysisError, PianofitError
-from ..io.files import FIT_SCHEMA, printable, reference_of
+from ..io.files import FIT_SCHEMA, printable, reference_row
 from ..io.number_format import with_interval
 from ..io.table_output import write_csv
 from ..recording.recording import load_recording
@@ -22,7 +22,7 @@ from ..report import html
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.text import SYMBOLS
 from .job_records import Entry, read_records
-from .state import document
+from .state import summary
 from .store import Store
 from .traffic_lights import LIGHTS, MATCH_LIMITS, RING_LIMITS, TUNING_LIMITS, lights
 
@@ -55,7 +55,7 @@ class Index:
         """Record that a key has ended."""
         self._stale = True
 
-    def show(self) -> None:
+    def write_if_due(self) -> None:
         """Write both files if a key has ended and the last write is more than `WRITE_INTERVAL_S` seconds ago."""
         if self._stale and time.monotonic() - self._written > WRITE_INTERVAL_S:
             self.write()
@@ -77,7 +77,7 @@ class Index:
         html.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
             scripts=("audio.js", "player.js", "index.js"), strict=False,
-            title=printable(self.store.folder.resolve().name), batch=document(self.store.folder, entries),
+            title=printable(self.store.folder.resolve().name), batch=summary(self.store.folder, entries),
             columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
             lights=LIGHTS, limits={"match": MATCH_LIMITS, "tuning": TUNING_LIMITS, "ring": RING_LIMITS},
             left_out=[(e.key, recording["reason"]) for e, _ in done.values() for recording in e.left_out],
@@ -89,7 +89,7 @@ class Index:
 
     def _fit(self, key: str) -> dict[str, Any]:
         """Content of the fit.json of a key; empty if the file was changed or has another schema."""
-        fit = json.loads(self.store.content(key, "fit.json") or b"{}")
+        fit = json.loads(self.store.verified_content(key, "fit.json") or b"{}")
         return fit if fit.get("schema") == FIT_SCHEMA else {}
 
     def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
@@ -111,7 +111,7 @@ def _order(entry: Entry) -> tuple[str, int]:
 
 def _recording_and_fit(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[Clip]:
     """Excerpts of recording and fit, equally loud. Empty if one of the files is missing or was changed."""
-    (_, row), settings = reference_of(fit.get("recordings")), (store.read_record(key) or {}).get("settings", {})
+    (_, row), settings = reference_row(fit.get("recordings")), (store.read_record(key) or {}).get("settings", {})
     try:
         recording = load_recording(row.get("file", ""), channel=settings.get("channel", "average"))
         fitted = load_recording(store.keys / key / "fitted.wav")

@@ -26,14 +26,14 @@ from typing import NamedTuple
 
 from .. import __version__
 from ..analysis import analyse
-from ..analysis.note_names import SAME_KEY, hz_to_note, note_to_hz, note_to_midi
+from ..analysis.note_names import SAME_KEY_CENTS, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io.files import DISK_FULL, printable, read_file, replace_strings, write_error
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, layout_of, load_recording
 from .manifest import Key
 
-__all__ = ["JobResult", "Settings", "Source", "Job", "fit_job", "make_unit", "versions"]
+__all__ = ["JobResult", "Settings", "Source", "Job", "fit_job", "make_job", "versions"]
 
 SCHEMA = 1
 # cents: a note name further than this from the pitch is wrong. Old pianos and stretched trebles stay below.
@@ -64,7 +64,7 @@ class Source(NamedTuple):
     layer: str = ""  # this and the following describe the recording and are not part of the hash
     channels: int = 0
     rate: int = 0  # Hz
-    wrong: str = ""  # why it cannot be read
+    error: str = ""  # why it cannot be read
 
 
 class Job(NamedTuple):
@@ -126,7 +126,7 @@ def versions() -> dict[str, str]:
     return {"pianofit": __version__, "code": code.hexdigest()[:16], **libraries}
 
 
-def make_unit(key: Key, settings: Settings) -> Job:
+def make_job(key: Key, settings: Settings) -> Job:
     """Create the job of a key, with hashes of its recordings.
 
     Raises `RecordingError` if a recording cannot be read, or if two recordings of the key are identical.
@@ -335,14 +335,14 @@ def _of_another_key(pitches: Mapping[Path, float], note: str) -> dict[Path, floa
         return abs(1200 * log2(a / b))
 
     set_sizes = {
-        f0: sum(cents(f0, other) <= SAME_KEY for other in pitches.values())
+        f0: sum(cents(f0, other) <= SAME_KEY_CENTS for other in pitches.values())
         for f0 in pitches.values()
         if not _wrong_note(note, f0)
     }
     if not set_sizes:
         return {}
     key = max(set_sizes, key=lambda f0: (set_sizes[f0], -cents(f0, note_to_hz(note))))
-    return {file: key for file, f0 in pitches.items() if cents(f0, key) > SAME_KEY}
+    return {file: key for file, f0 in pitches.items() if cents(f0, key) > SAME_KEY_CENTS}
 
 
 def _detected_note(job: Job, files: list[Path]) -> str:

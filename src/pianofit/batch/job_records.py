@@ -33,10 +33,10 @@ class Entry(NamedTuple):
     seconds: float = 0.0  # of the fit
     memory: int = 0  # bytes
     stage: str = ""  # of the fit, while it is running
-    began: float = 0.0  # start time, s since 1970, while it is running
+    started: float = 0.0  # start time, s since 1970, while it is running
 
     @property
-    def why(self) -> str:
+    def failure_text(self) -> str:
         """Reason of a failure, with the detected note."""
         complete = not self.detected_note or self.detected_note in self.reason
         return self.reason if complete else f"{self.reason}; it sounds like {self.detected_note}"

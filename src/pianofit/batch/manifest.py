@@ -29,7 +29,7 @@ from ..recording.recording import is_sound, readable_formats
 from .guess import guess_pattern, midi_number_offset
 from .paths import find_file
 
-__all__ = ["Key", "Sample", "files_in", "listed", "manifest_text", "read_keys"]
+__all__ = ["Key", "Sample", "files_in", "first_problems", "manifest_text", "read_keys"]
 
 COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic")
 # Headers of a MIDI velocity, and of a measured one with its unit, such as "velocity (m/s)" or "velocity_m_s".
@@ -313,7 +313,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
         if len(s) > MAX_RECORDINGS
     ]
     if problems:
-        raise SetupError(f"{name}: {listed(problems)}; nothing was started")
+        raise SetupError(f"{name}: {first_problems(problems)}; nothing was started")
     if not keys:
         raise SetupError(f"{name}: lists no recording; add rows")
     ordered = sorted(keys.values(), key=lambda k: (k[0].casefold(), k[1]))
@@ -327,7 +327,7 @@ def _with_strokes(samples: list[Sample]) -> tuple[Sample, ...]:
     return tuple(sorted(with_strokes, key=lambda s: s.file.as_posix()))
 
 
-def listed(problems: Sequence[str]) -> str:
+def first_problems(problems: Sequence[str]) -> str:
     """The first problems, and the number of further ones."""
     more = f"; and {len(problems) - MAX_LISTED} more" if len(problems) > MAX_LISTED else ""
     return "; ".join(problems[:MAX_LISTED]) + more

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from .job import Job, JobResult, fit_job
 
-__all__ = ["RunningJob", "Local", "WorkerLost", "Work"]
+__all__ = ["RunningJob", "ProcessPool", "WorkerLost", "Work"]
 
 MAX_JOBS_PER_WORKER = 16  # jobs
 # One thread for each library that would use all cores. They read these when they are first imported.
@@ -60,7 +60,7 @@ class _Worker:
     served: int = 0
 
 
-class Local:
+class ProcessPool:
     """Processes on this machine that run `work` on each job.
 
     Parameters
@@ -78,7 +78,7 @@ class Local:
         self._workers: list[_Worker] = []
         self._context = multiprocessing.get_context("spawn")
 
-    def __enter__(self) -> Local:
+    def __enter__(self) -> ProcessPool:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 from ..errors import OutputError, RecordingError
 from ..io.files import printable
 from ..io.number_format import counted
-from .dask_pool import Cluster
+from .dask_pool import DaskPool
 from .html_index import Index
 from .job import Job, JobResult
 from .job_records import Entry, entry_of, write_record
-from .process_pool import Local, RunningJob, WorkerLost
-from .state import document, time_left
+from .process_pool import ProcessPool, RunningJob, WorkerLost
+from .state import summary, time_left
 from .store import Store, locked, open_folder
 
 __all__ = ["Progress", "plan_jobs", "run_batch"]
@@ -38,12 +38,12 @@ class Progress(NamedTuple):
     done: int
     failed: int
     running: tuple[tuple[str, str], ...]  # running keys, and the stage of each
-    left: float | None  # s; None before it can be estimated
+    seconds_left: float | None  # s; None before it can be estimated
     event: str = ""  # one line, or empty
 
 
 ProgressCallback = Callable[[Progress], None]
-Workers = Local | Cluster
+Workers = ProcessPool | DaskPool
 
 
 def plan_jobs(jobs: Sequence[Job], folder: Path, retry_failed: bool = False) -> dict[str, str]:
@@ -58,7 +58,7 @@ def _job_status(job: Job, store: Store, retry_failed: bool) -> tuple[str, Entry]
     entry = entry_of(store, job.key, record)
     current = entry if entry is not None and entry.hash == job.hash else fresh
     if current.state == "done":
-        return ("done", current) if store.record(job.key) else ("to do: its folder was changed", fresh)
+        return ("done", current) if store.verified_record(job.key) else ("to do: its folder was changed", fresh)
     if current.state == "failed":
         reason = current.reason
         return (f"to do: failed before ({reason})", fresh) if retry_failed else (f"failed: {reason}", current)
@@ -94,7 +94,7 @@ def run_batch(
                 batch.run(pool)
         batch.index.close()
         strangers = sorted(store.finished() - {key for key, row in batch.rows.items() if row.state == "done"})
-    return document(folder, [*batch.rows.values()]) | {"strangers": strangers}
+    return summary(folder, [*batch.rows.values()]) | {"strangers": strangers}
 
 
 class _Batch:
@@ -129,12 +129,12 @@ class _Batch:
                     self._end(job, outcome, workers)
                 self._record_stages(workers.running())
                 self._report("", workers)
-                self.index.show()
+                self.index.write_if_due()
         except BaseException:  # also Ctrl-C: no entry may stay "running"
             with contextlib.suppress(OutputError):
                 for row in self.rows.values():
                     if row.state == "running":
-                        write_record(self.store, row._replace(state="waiting", stage="", began=0.0))
+                        write_record(self.store, row._replace(state="waiting", stage="", started=0.0))
                 self.index.close()
             raise
 
@@ -168,7 +168,7 @@ class _Batch:
         if outcome.error:
             facts |= {"reason": outcome.error, "detected_note": outcome.detected_note, "detail": outcome.detail}
             self._update(job, state="failed", **facts)
-            self._report(f"{job.key}: failed: {self.rows[job.key].why}", workers)
+            self._report(f"{job.key}: failed: {self.rows[job.key].failure_text}", workers)
             return
         self.store.commit(job.key, outcome.files, _record(job, outcome))
         self._update(job, state="done", reason="", **facts)

@@ -13,7 +13,7 @@ from ..io.number_format import counted
 from .job_records import Entry, read_records
 from .store import Store, is_locked
 
-__all__ = ["document", "status", "suggestions", "time_left"]
+__all__ = ["summary", "status", "suggestions", "time_left"]
 
 
 def status(folder: Path) -> dict[str, Any]:
@@ -23,11 +23,11 @@ def status(folder: Path) -> dict[str, Any]:
     """
     entries, at_work = read_records(Store(folder)), is_locked(folder)
     if not at_work:  # keys that a killed batch was fitting are not running any more
-        entries = [e._replace(state="waiting", stage="", began=0.0) if e.state == "running" else e for e in entries]
-    return document(folder, entries) | {"at_work": at_work, "seconds_left": _seconds_left(entries)}
+        entries = [e._replace(state="waiting", stage="", started=0.0) if e.state == "running" else e for e in entries]
+    return summary(folder, entries) | {"at_work": at_work, "seconds_left": _seconds_left(entries)}
 
 
-def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
+def summary(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
     """Summary of a batch with these entries."""
     count = Counter(e.state for e in entries)
     seconds = [e.seconds for e in entries if e.state == "done"]
@@ -43,7 +43,7 @@ def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
 
 def _seconds_left(entries: Sequence[Entry]) -> float | None:
     """Remaining time, s, if the number of running workers stays the same."""
-    running = [max(time.time() - e.began, 0.0) for e in entries if e.state == "running"]
+    running = [max(time.time() - e.started, 0.0) for e in entries if e.state == "running"]
     done = [e.seconds for e in entries if e.state == "done" and e.seconds]
     return time_left(done, sum(e.state == "waiting" for e in entries), running, len(running))
 

@@ -78,7 +78,7 @@ class Store:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
-    def content(self, key: str, name: str) -> bytes | None:
+    def verified_content(self, key: str, name: str) -> bytes | None:
         """Content of a file of a finished key. None if it is missing or its digest differs from the record."""
         record = self.read_record(key) or {"files": {}}
         with contextlib.suppress(OSError):
@@ -86,10 +86,10 @@ class Store:
             return data if hashlib.sha256(data).hexdigest() == record["files"].get(name) else None
         return None
 
-    def record(self, key: str) -> dict[str, Any] | None:
+    def verified_record(self, key: str) -> dict[str, Any] | None:
         """Record of a finished key. None if its folder is missing, or a file differs from the record."""
         record = self.read_record(key)
-        complete = record is not None and all(self.content(key, name) is not None for name in record["files"])
+        complete = record is not None and all(self.verified_content(key, name) is not None for name in record["files"])
         return record if complete else None
 
     def finished(self) -> set[str]:

@@ -12,17 +12,17 @@ from ..recording.recording import is_sound, readable_formats
 from .job import Job, Source
 from .manifest import MAX_LISTED, files_in
 
-__all__ = ["Unread", "listing", "mixtures", "unread"]
+__all__ = ["UnusedFile", "recording_rows", "layout_remarks", "unused_files"]
 
 
-class Unread(NamedTuple):
+class UnusedFile(NamedTuple):
     """A file of the folder that does not belong to a key."""
 
     file: str  # relative to the folder
     reason: str
 
 
-def mixtures(jobs: Sequence[Job]) -> list[str]:
+def layout_remarks(jobs: Sequence[Job]) -> list[str]:
     """Remarks on recordings whose channels or rates differ within a key, and on keys that differ from others."""
     remarks = [*_within(jobs, "channels", _mono), *_within(jobs, "rate", _resampled)]
     for quantity, template in (("channels", "{} channel(s)"), ("rate", "{} Hz")):
@@ -49,7 +49,7 @@ def _layouts(job: Job, quantity: str) -> dict[int, list[str]]:
     if quantity == "channels" and job.settings.channel != "average":
         return layouts
     for source in job.sources:
-        if not source.wrong:
+        if not source.error:
             layouts.setdefault(getattr(source, quantity), []).append(Path(source.path).name)
     return layouts
 
@@ -83,7 +83,7 @@ def _some(names: Sequence[str], noun: str) -> str:
     return f"{', '.join(names[:MAX_LISTED])} ... ({counted(len(names), noun)})"
 
 
-def unread(source: Path, jobs: Sequence[Job]) -> list[Unread]:
+def unused_files(source: Path, jobs: Sequence[Job]) -> list[UnusedFile]:
     """Files in the folder of a manifest that no key uses, with the reason."""
     folder = source if source.is_dir() else source.parent
     used = {file.path for job in jobs for file in job.sources}
@@ -93,16 +93,16 @@ def unread(source: Path, jobs: Sequence[Job]) -> list[Unread]:
             continue
         if is_sound(name):
             reason = "does not fit the pattern" if source.is_dir() else f"is not used by {printable(source.name)}"
-            unused.append(Unread(printable(name), reason))
+            unused.append(UnusedFile(printable(name), reason))
         elif source.is_dir():
-            unused.append(Unread(printable(name), f"is none of {readable_formats()}"))
+            unused.append(UnusedFile(printable(name), f"is none of {readable_formats()}"))
     return unused
 
 
-def listing(job: Job, folder: Path) -> list[list[str]]:
+def recording_rows(job: Job, folder: Path) -> list[list[str]]:
     """A row of text for every recording of a key: its file, its layer, velocity and group, its channels and rate."""
     return [
-        [_relative_to(folder, source.path), _description(source), source.wrong or
+        [_relative_to(folder, source.path), _description(source), source.error or
          f"{counted(source.channels, 'channel')}, {source.rate} Hz"] for source in job.sources
     ]  # fmt: skip
 

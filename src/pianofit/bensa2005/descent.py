@@ -18,20 +18,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-__all__ = ["Descended", "LeastSquares", "gradient_descent"]
+__all__ = ["DescentResult", "LeastSquares", "gradient_descent"]
 
 # Share of the predicted decrease that a step must reach. Below 1/2, so that the exact minimum of a parabola passes.
-SHARE = 0.3
+SUFFICIENT_DECREASE = 0.3
 # Factors on the step size after a rejected and after an accepted step.
-SHORTER = 0.5
-LONGER = 1.5
+STEP_REDUCTION = 0.5
+STEP_GROWTH = 1.5
 # The first step moves the coordinate with the steepest slope by this much, box widths.
 FIRST = 0.01
 # A step that moves every coordinate by at most this does not count as a step, box widths.
 LEAST = 1e-13
 
 
-class Descended(NamedTuple):
+class DescentResult(NamedTuple):
     """Result of a descent."""
 
     z: np.ndarray  # [D]
@@ -43,7 +43,7 @@ class Descended(NamedTuple):
 def gradient_descent(
     value_and_gradient: Callable, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, iterations: int,
     tolerance: float = 1e-9,
-) -> Descended:  # fmt: skip
+) -> DescentResult:  # fmt: skip
     """Minimise `value_and_gradient(z [D]) -> (cost, gradient [D])` from `z`, with one evaluation in each iteration.
 
     The cost never rises, and every trial point lies in `lower` <= z <= `upper` [D]. A point at which cost or gradient
@@ -62,19 +62,19 @@ def gradient_descent(
     for _ in range(iterations):
         trial = np.clip(z - step * size**2 * gradient, lower, upper)
         if not np.isfinite(cost) or (np.abs(trial - z) <= LEAST * size).all():
-            return Descended(z, cost, bool(np.isfinite(cost)), evaluations)
+            return DescentResult(z, cost, bool(np.isfinite(cost)), evaluations)
         new, slope = _evaluate(value_and_gradient, trial)
         evaluations += 1
-        if new < cost and new <= cost - SHARE * float(gradient @ (z - trial)):
+        if new < cost and new <= cost - SUFFICIENT_DECREASE * float(gradient @ (z - trial)):
             gain, z, cost, gradient = cost - new, trial, new, slope
             if limited and gain <= tolerance * abs(cost):
-                return Descended(z, cost, True, evaluations)
-            step *= LONGER
+                return DescentResult(z, cost, True, evaluations)
+            step *= STEP_GROWTH
         else:
             limited = True
-            step *= SHORTER
+            step *= STEP_REDUCTION
         step = min(step, _longest(z, gradient, lower, upper))
-    return Descended(z, cost, False, evaluations)
+    return DescentResult(z, cost, False, evaluations)
 
 
 def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
@@ -98,12 +98,12 @@ class LeastSquares(NamedTuple):
     lower: np.ndarray  # [D]; a coordinate is fixed where it equals `upper`
     upper: np.ndarray
 
-    def slope(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+    def value_and_gradient(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the cost at `z` [D] and its gradient [D]."""
         residual, jacobian = (x[0] for x in self.residuals(z[None]))
         return 0.5 * float(residual @ residual), residual @ jacobian
 
-    def finished(self, z: np.ndarray, *, evaluations: int, tolerance: float = 1e-7) -> Descended:
+    def minimise(self, z: np.ndarray, *, evaluations: int, tolerance: float = 1e-7) -> DescentResult:
         """Minimise by least squares from one point [D], until a step gains less than `tolerance` of the cost.
 
         A point without finite residuals is returned unchanged.
@@ -120,7 +120,7 @@ class LeastSquares(NamedTuple):
         residual, _ = at(z[free].tobytes())
         cost = 0.5 * float(residual @ residual)
         if not (np.isfinite(cost) and free.any()):
-            return Descended(z, cost, False, 1)
+            return DescentResult(z, cost, False, 1)
         # SciPy accepts a function here, but its annotation allows only str.
         slopes: Any = lambda part: at(part.tobytes())[1]  # noqa: E731
         end = least_squares(
@@ -128,4 +128,4 @@ class LeastSquares(NamedTuple):
             bounds=(self.lower[free], self.upper[free]), ftol=tolerance, max_nfev=evaluations,
         )  # fmt: skip
         z[free] = end.x
-        return Descended(z, float(end.cost), bool(end.status > 0), int(end.nfev))
+        return DescentResult(z, float(end.cost), bool(end.status > 0), int(end.nfev))

@@ -17,8 +17,8 @@ from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Covariance, Result
 from ..result.comparison import RecordingComparison, worse_bands
-from ..result.identifiability import AT_EDGE, STOPPED
-from ..result.serialise import fixed_entry, recording_entry, sizes, to_document
+from ..result.identifiability import AT_BOUND, NOT_CONVERGED
+from ..result.serialise import fixed_parameter_row, recording_row, sizes, to_document
 
 __all__ = ["point_result"]
 
@@ -54,14 +54,14 @@ def point_result(
         start.quantity, 1.0, None,
     )  # fmt: skip
     before, after = (
-        comparison.play(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
+        comparison.render(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
         for note in (first, first._replace(string=string, hammer=hammer))
     )
-    compared = comparison.compared(before, after, {"initial_db": before.level, "fitted_db": after.level})
+    compared = comparison.compare(before, after, {"initial_db": before.level, "fitted_db": after.level})
     parameters = _parameters(start, (*string, *hammer), values, at_bound)
     names = (*(name for name in names_of(start.law) if name in parameters), "v_H0")
     document = to_document(
-        start, [compared], 0, [recording_entry(compared, parameters["v_H0"], start.scale is not None)],
+        start, [compared], 0, [recording_row(compared, parameters["v_H0"], start.scale is not None)],
         Covariance(names, np.zeros((len(names), len(names)))), recipe=recipe, seed=seed, converged=converged,
         claims=opening,
         messages=[
@@ -77,11 +77,11 @@ def _statements(criterion: dict, converged: bool, at_bound: Sequence[str], messa
     """Warnings about the result."""
     worse = worse_bands(criterion)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
-    statements = [*([] if converged else [STOPPED]), *messages]
+    statements = [*([] if converged else [NOT_CONVERGED]), *messages]
     statements += [f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}."] * bool(
         worse
     )
-    statements += [AT_EDGE.format(", ".join(at_bound))] * bool(at_bound)
+    statements += [AT_BOUND.format(", ".join(at_bound))] * bool(at_bound)
     statements += [f"No partial above the noise in {' and '.join(missing)}. The next band was used instead."] * bool(
         missing
     )
@@ -113,9 +113,9 @@ def _parameters(
         return "scaled" if start.assumptions.get(name) else "fitted"
 
     table = {
-        name: fixed_entry(value, name, status(name)) | {"initial": float(initial[name])}
+        name: fixed_parameter_row(value, name, status(name)) | {"initial": float(initial[name])}
         for name, value in zip(FIT_NAMES, final, strict=True)
     }
     for name, value in (("x0", start.geometry.strike_position), ("width", start.geometry.width)):
-        table[name] = fixed_entry(value, name, "given" if start.fixed.get(name) == "fixed" else "assumed")
+        table[name] = fixed_parameter_row(value, name, "given" if start.fixed.get(name) == "fixed" else "assumed")
     return table | sizes(start)

@@ -122,7 +122,7 @@ def fit_by_paper(
     FitError
         If no hammer gives a finite criterion, or a contact does not end.
     """
-    if start.law.kind is not Hammer:
+    if start.law.hammer_type is not Hammer:
         raise ParameterError(f"recipe={recipe!r} has no felt={start.law.name!r}: use {DEFAULT_LAW.name!r}")
     search = make_search(recording, analysis, start)
     x = search.x(search.values)

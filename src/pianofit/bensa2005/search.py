@@ -19,12 +19,12 @@ from functools import partial
 import numpy as np
 
 from ..analysis import Analysis
-from ..criterion import band_of, line_sigma
+from ..criterion import band_of, damping_for
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..inference.initial_values import InitialValues
 from ..inference.multistart import NO_HAMMER
-from ..inference.priors import HAMMER_SPREAD
+from ..inference.priors import HAMMER_SD
 from ..inference.problem import simulation_grid
 from ..model import simulate
 from ..model.modes import mode_frequencies
@@ -33,8 +33,8 @@ from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geom
 from ..recording.recording import Recording
 from ..result.alignment import align_attack
 from .annealing import anneal
-from .descent import Descended, LeastSquares, gradient_descent
-from .spectral_criterion import Goal, Scene, StaticConfig, fix_string, spectral_goal, struck_gradients
+from .descent import DescentResult, LeastSquares, gradient_descent
+from .spectral_criterion import Goal, SearchConstants, StaticConfig, criterion_gradients, fix_string, spectral_goal
 
 __all__ = ["ALL", "Search", "make_search", "split"]
 
@@ -64,7 +64,7 @@ LINES = 10.0
 # Half-width of the box for the hammer, in standard deviations of the hammers in the literature.
 SPREADS = 2.5
 # The literature gives no spread of v_H0: 1 in its logarithm.
-SPREAD = HAMMER_SPREAD | {n: p.prior_sd for n, p in DEFAULT_LAW.parameters.items()} | {"v_H0": 1.0}
+SPREAD = HAMMER_SD | {n: p.prior_sd for n, p in DEFAULT_LAW.parameters.items()} | {"v_H0": 1.0}
 HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
 # Gradient steps at one σ, and evaluations of the final least squares.
 ITERATIONS = 60
@@ -87,7 +87,7 @@ class Search:
     upper: np.ndarray
     free: np.ndarray  # bool
     delay: float  # s, from the first contact to the recording's onset
-    scene: Scene  # its reference compression is 1 m where K_H is fixed, so that K_H equals the force
+    scene: SearchConstants  # its reference compression is 1 m where K_H is fixed, so that K_H equals the force
     cfg: StaticConfig
     evaluations: int = 0
     converged: bool = True
@@ -107,7 +107,7 @@ class Search:
         """σ of the string's steps, 1/s, falling; the length and the glide of the recording limit the last."""
         seconds = (len(self.recording.samples) - self.recording.onset) / self.recording.rate
         glide = 2 * np.pi * abs(self.analysis.glide_cents) * CENT * self.analysis.f0
-        reported = line_sigma(self.analysis.f0)
+        reported = damping_for(self.analysis.f0)
         least = min(max(LEAST_SIGMA / seconds, GLIDES * glide), reported)
         return [*(s for s in reported * SIGMAS if s > least), least]
 
@@ -162,7 +162,7 @@ class Search:
 
     def cost(self, goal: Goal, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Return eq. 19 at `x` and its gradient [9]."""
-        cost, slope = (np.asarray(a)[0] for a in struck_gradients(logs(x)[None], goal, self.scene, self.cfg))
+        cost, slope = (np.asarray(a)[0] for a in criterion_gradients(logs(x)[None], goal, self.scene, self.cfg))
         return float(cost), slope / np.where(LINEAR, x, 1.0)
 
     # --- the steps ----------------------------------------------------------------------------------------------------
@@ -182,13 +182,13 @@ class Search:
 
     def hammer_search(self, x: np.ndarray) -> LeastSquares:
         """Eq. 19 in the band of the hammer as a function of hammers [n, 5], on the string of `x`."""
-        goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
+        goal = self.goal((self.band(2),), damping_for(self.analysis.f0))
         lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
         return fix_string(logs(x), lower[STRING:], upper[STRING:], goal, self.scene, self.cfg)
 
     def refine_hammer(self, x: np.ndarray) -> np.ndarray:
         """Minimise the same criterion over the hammer by least squares."""
-        end = self.hammer_search(x).finished(x[STRING:], evaluations=ITERATIONS, tolerance=TOLERANCE)
+        end = self.hammer_search(x).minimise(x[STRING:], evaluations=ITERATIONS, tolerance=TOLERANCE)
         return np.append(x[:STRING], self._count(end))
 
     def anneal_hammer(self, x: np.ndarray, evaluations: int, seed: int) -> np.ndarray:
@@ -224,7 +224,7 @@ class Search:
         moved = np.stack(by) / (float(goal.sigma) + string.b1 + string.b2 * beta2)
         return HAMMER_REACH + np.append(LINES / np.sqrt((share * moved**2).sum(axis=1)), np.zeros(len(HAMMER_NAMES)))
 
-    def _count(self, end: Descended) -> np.ndarray:
+    def _count(self, end: DescentResult) -> np.ndarray:
         """Return the end of a descent and add up its evaluations."""
         self.evaluations += end.evaluations
         self.converged = end.converged
@@ -247,7 +247,7 @@ def make_search(recording: Recording, analysis: Analysis, start: InitialValues) 
     log_u, stiff = 0.0, np.array([-np.inf, np.inf])  # a fixed stiffness needs no bounds
     if free[K]:
         log_u, stiff = float(np.log(0.5 * first.pulse.compression.max())), np.log([lower[K], upper[K]])
-    scene = Scene(Geometry(*map(np.float64, start.geometry)), np.float64(rate), np.float64(log_u), stiff)
+    scene = SearchConstants(Geometry(*map(np.float64, start.geometry)), np.float64(rate), np.float64(log_u), stiff)
     cfg = StaticConfig(max(first.modes.pole.shape[0], rows), steps, start.quantity)
     delay = arrival(string, start.geometry, start.quantity)
     return Search(recording, analysis, start, values, lower, upper, free, delay, scene, cfg)

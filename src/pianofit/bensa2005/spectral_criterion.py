@@ -27,8 +27,8 @@ from numpy.polynomial.chebyshev import chebpts1, chebvander
 from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
 from ..inference.batched_model import run_in_batches
 from ..model.contact import impulse_amplitude, kernel_rows, strike
-from ..model.damped_sums import transform
-from ..model.free_response import ringing_transform
+from ..model.damped_sums import z_transform
+from ..model.free_response import modal_transform
 from ..model.modal_response import z_transform_at_poles
 from ..model.modes import Modes, mode_table
 from ..model.program_cache import persistent_jit
@@ -38,12 +38,12 @@ from .descent import LeastSquares
 __all__ = [
     "StaticConfig",
     "Goal",
-    "Scene",
+    "SearchConstants",
     "damped_spectrum",
     "fix_string",
     "residuals",
     "spectral_goal",
-    "struck_gradients",
+    "criterion_gradients",
 ]
 
 # Goals are padded to a multiple of this many rows, so that notes share compiled programs. The first band has one row.
@@ -86,13 +86,13 @@ class StaticConfig(NamedTuple):
     quantity: str
 
 
-class Scene(NamedTuple):
+class SearchConstants(NamedTuple):
     """Constants of a search over string and hammer."""
 
     geometry: Geometry
     rate: Values  # sampling rate of the contact, Hz
     log_u: Values  # log of the reference compression, m, of the felt's force
-    stiff: Values  # [2], logs of the least and the largest felt stiffness
+    log_stiffness_bounds: Values  # [2], logs of the least and the largest felt stiffness
 
 
 class FixedString(NamedTuple):
@@ -168,7 +168,7 @@ def residuals(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Fl
 # --- the string and the hammer ----------------------------------------------------------------------------------------
 
 
-def _string(z: Array, goal: Goal, scene: Scene, cfg: StaticConfig) -> tuple[Array, Array, Modes]:
+def _string(z: Array, goal: Goal, scene: SearchConstants, cfg: StaticConfig) -> tuple[Array, Array, Modes]:
     """Return |H|² δt² [rows, nodes] of a string, the rows of its kernel, and its modes."""
     string = String(*jnp.exp(z[:4]))
     modes = mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
@@ -187,8 +187,8 @@ def _mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows node
     nearest = jnp.searchsorted(modes.pole.imag, 2 * jnp.pi * goal.frequency.mean(axis=1)) - (NEAREST + 1) // 2
     nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None, None] + jnp.arange(NEAREST)
     left = residue[nearest] * jnp.exp(steps * log_z[nearest])
-    tail = jnp.exp(steps * log_zeta) * ringing_transform(left, log_z[nearest], log_zeta)
-    total = ringing_transform(residue, log_z, log_zeta) - tail
+    tail = jnp.exp(steps * log_zeta) * modal_transform(left, log_z[nearest], log_zeta)
+    total = modal_transform(residue, log_z, log_zeta) - tail
     return (total.real**2 + total.imag**2) * modes.step**2
 
 
@@ -200,7 +200,7 @@ def _smooth(goal: Goal, step: Array) -> Array:
 
 def _residuals(
     z: Float[Array, " 5"], mobility: Array, rows: Array | None, modes: Modes, pushed: Callable, goal: Goal,
-    scene: Scene, cfg: StaticConfig,
+    scene: SearchConstants, cfg: StaticConfig,
 ) -> Float[Array, " bins"]:  # fmt: skip
     """Residuals for a hammer on a string; `pushed` gives real and imaginary part of T̂ at the Chebyshev nodes.
 
@@ -210,12 +210,12 @@ def _residuals(
     stiffness = z[0] - p * scene.log_u
     pulse = strike(modes, Hammer(jnp.exp(stiffness), mu, p, mass, velocity), steps=cfg.steps, rows=rows)
     energy = mobility * sum((part.reshape(-1, SMOOTH) @ INTERPOLATION.T) ** 2 for part in pushed(pulse.drive))
-    inside = (stiffness >= scene.stiff[0]) & (stiffness <= scene.stiff[1])
+    inside = (stiffness >= scene.log_stiffness_bounds[0]) & (stiffness <= scene.log_stiffness_bounds[1])
     return jnp.where((pulse.compression[-1] <= 0) & inside, residuals(energy, goal), jnp.inf)
 
 
 @persistent_jit
-def struck_gradients(z, goal: Goal, scene: Scene, cfg: StaticConfig):
+def criterion_gradients(z, goal: Goal, scene: SearchConstants, cfg: StaticConfig):
     """Return C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
 
     def cost(x: Array) -> Array:
@@ -224,7 +224,7 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: StaticConfig):
 
         def pushed(drive: Array) -> tuple[Array, Array]:
             # Relative to the middle of the pulse, where the phase varies least.
-            turned = transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
+            turned = z_transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
             return turned.real, turned.imag
 
         return 0.5 * (_residuals(x[4:], mobility, None, modes, pushed, goal, scene, cfg) ** 2).sum()
@@ -237,7 +237,7 @@ def fix_string(
     lower: np.ndarray,
     upper: np.ndarray,
     goal: Goal,
-    scene: Scene,
+    scene: SearchConstants,
     cfg: StaticConfig,
 ) -> LeastSquares:
     """Return C as a function of hammers [n, 5] in the box `lower` to `upper` [5], on the string of `z`."""
@@ -251,7 +251,7 @@ def fix_string(
 
 
 @persistent_jit
-def fixed_string_response(z, goal: Goal, scene: Scene, cfg: StaticConfig):
+def fixed_string_response(z, goal: Goal, scene: SearchConstants, cfg: StaticConfig):
     """Return the fields of `FixedString`, the modes last."""
     mobility, rows, modes = _string(z, goal, scene, cfg)
     log_zeta = _smooth(goal, modes.step)
@@ -260,7 +260,7 @@ def fixed_string_response(z, goal: Goal, scene: Scene, cfg: StaticConfig):
 
 
 def _on_fixed_string(
-    z: Float[Array, " 5"], fixed: FixedString, goal: Goal, scene: Scene, cfg: StaticConfig
+    z: Float[Array, " 5"], fixed: FixedString, goal: Goal, scene: SearchConstants, cfg: StaticConfig
 ) -> Float[Array, " bins"]:
     def pushed(drive: Array) -> tuple[Array, Array]:
         return drive @ fixed.real, drive @ fixed.imag
@@ -269,13 +269,13 @@ def _on_fixed_string(
 
 
 @persistent_jit
-def hammer_costs(fixed: FixedString, goal: Goal, z, scene: Scene, cfg: StaticConfig):
+def hammer_costs(fixed: FixedString, goal: Goal, z, scene: SearchConstants, cfg: StaticConfig):
     """Return C [chains] of hammers `z` [chains, 5] on a fixed string."""
     return (jax.vmap(lambda x: 0.5 * (_on_fixed_string(x, fixed, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @persistent_jit
-def hammer_residuals(fixed: FixedString, goal: Goal, z, scene: Scene, cfg: StaticConfig):
+def hammer_residuals(fixed: FixedString, goal: Goal, z, scene: SearchConstants, cfg: StaticConfig):
     """Return residuals [starts, bins], with C as half their sum of squares, and their Jacobian [starts, bins, 5]."""
 
     def value_and_aux(x: Array) -> tuple[Array, Array]:

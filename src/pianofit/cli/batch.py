@@ -119,13 +119,13 @@ def batch(
     """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
         _check(workers, memory, time_limit, seed, channel)
-        from ..batch import check_cluster, mixtures, plan_jobs, read_keys, run_batch
+        from ..batch import check_cluster, layout_remarks, plan_jobs, read_keys, run_batch
 
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
         units = _units(manifest, keys, _settings(setup, channel, seed, page))
-        for remark in [*remarks, *mixtures(units)]:
+        for remark in [*remarks, *layout_remarks(units)]:
             print_error(remark)
         if dry_run:
             _print_plan(manifest, units, plan_jobs(units, out, retry_failed), as_json)
@@ -175,36 +175,36 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
     import tomllib
 
-    from ..batch import make_unit
-    from ..batch.manifest import listed
+    from ..batch import make_job
+    from ..batch.manifest import first_problems
 
     units, problems = [], []
     for key in keys:
         try:
-            unit = make_unit(key, settings)
+            unit = make_job(key, settings)
             setup_from_dict(tomllib.loads(unit.setup), key.name)
             units.append(unit)
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        raise SetupError(f"{printable(manifest)}: {listed(problems)}; nothing was started")
+        raise SetupError(f"{printable(manifest)}: {first_problems(problems)}; nothing was started")
     return units
 
 
 def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
     """Return the function that starts the workers. The batch calls it after locking the folder."""
-    from ..batch import Cluster, Local
+    from ..batch import DaskPool, ProcessPool
 
     if scheduler is not None:
-        return lambda _: Cluster(scheduler, by_value)
-    return lambda store: Local(workers or cores(), int(memory * 2**30), time_limit, store.scratch)
+        return lambda _: DaskPool(scheduler, by_value)
+    return lambda store: ProcessPool(workers or cores(), int(memory * 2**30), time_limit, store.scratch)
 
 
 def _line(p: Progress) -> str:
     """Progress of a batch on one line."""
     failed = f", {p.failed} failed" if p.failed else ""
     running = f"; {_running_keys(p.running)}" if p.running else ""
-    left = _format_time_left(p.total - p.done - p.failed, p.left)
+    left = _format_time_left(p.total - p.done - p.failed, p.seconds_left)
     return f"{p.done} of {counted(p.total, 'key')} done{failed}{left}{running}"
 
 
@@ -248,15 +248,15 @@ def _progress_printer() -> Iterator[Callable[[Progress], None]]:
 def _print_event(p: Progress) -> None:
     """Print a log line: number of finished keys, event and time left."""
     if p.event:
-        left = f" ({_format_duration(p.left)} left)" if p.left and p.done + p.failed < p.total else ""
+        left = f" ({_format_duration(p.seconds_left)} left)" if p.seconds_left and p.done + p.failed < p.total else ""
         typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
 def _print_plan(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
     """Print the keys with their files, and the files that would not be read."""
-    from ..batch import listing, unread
+    from ..batch import recording_rows, unused_files
 
-    folder, missed = manifest if manifest.is_dir() else manifest.parent, unread(manifest, units)
+    folder, missed = manifest if manifest.is_dir() else manifest.parent, unused_files(manifest, units)
     rows = [
         {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
          "recordings": [s._asdict() for s in u.sources]}
@@ -265,7 +265,7 @@ def _print_plan(manifest: Path, units: list[Job], standing: dict[str, str], as_j
     lines = []
     for unit in units:
         lines.append(f"{unit.key}: {unit.note}, {counted(len(unit.sources), 'recording')}, {standing[unit.key]}")
-        lines += [f"  {line}" for line in columns(listing(unit, folder), right=-1)]
+        lines += [f"  {line}" for line in columns(recording_rows(unit, folder), right=-1)]
     lines += ["not read:"] * bool(missed)
     lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
@@ -295,7 +295,7 @@ def _summary(result: dict[str, Any]) -> str:
     if running := [(k["key"], k["stage"]) for k in result["keys"] if k["state"] == "running"]:
         lines.append(f"at work: {_running_keys(running)}")
     failed = [k for k in result["keys"] if k["state"] == "failed"]
-    lines += [f"failed: {key['key']}: {printable(Entry(**key).why)}" for key in failed[:LISTED]]
+    lines += [f"failed: {key['key']}: {printable(Entry(**key).failure_text)}" for key in failed[:LISTED]]
     if len(failed) > LISTED:
         lines.append(f"and {len(failed) - LISTED} more failed; --json lists all")
     for key in result["keys"]:

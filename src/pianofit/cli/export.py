@@ -17,7 +17,7 @@ from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..export import ExportSummary
-    from ..export.faust import Program
+    from ..export.faust import FaustSummary
 
 __all__ = ["export"]
 
@@ -67,7 +67,7 @@ def export(
     """Export an instrument as a sampler or as a Faust program."""
     from ..export import SAMPLERS, ExportOptions, export_sampler, parse_keys
     from ..export.faust import write_faust
-    from ..export.layers import without_gaps
+    from ..export.layers import fill_gaps
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
 
@@ -85,7 +85,7 @@ def export(
         else:
             wanted, sampled = (
                 ExportOptions(kind=SAMPLERS[to].kind)._replace(**given),
-                without_gaps(chosen) if fill else chosen,
+                fill_gaps(chosen) if fill else chosen,
             )
             summary = export_sampler(loaded, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampler_summary(summary, sorted({*sampled} - {*chosen}))
@@ -110,22 +110,24 @@ def _sampler_summary(summary: ExportSummary, added: list[int]) -> str:
     from ..export.layers import format_keys
 
     more = f"{counted(len(added), 'key')} sampled additionally, to fill gaps: {format_keys(added)}\n" if added else ""
-    silent = f"{counted(len(summary.silent), 'key')} silent: {format_keys(summary.silent)}; give more --keys\n"
+    silent = (
+        f"{counted(len(summary.silent_keys), 'key')} silent: {format_keys(summary.silent_keys)}; give more --keys\n"
+    )
     return (
-        f"{counted(summary.keys, 'key')} sampled, {_count_guesses(summary.guesses)}; "
+        f"{counted(summary.keys, 'key')} sampled, {_count_guesses(summary.unrecorded)}; "
         f"{summary.transposed} transposed from them\n"
-        f"{more}{silent if summary.silent else ''}"
+        f"{more}{silent if summary.silent_keys else ''}"
         f"{counted(summary.samples, 'sample')}, {summary.seconds:.0f} s, {summary.bytes / 1e6:.1f} MB, "
         f"a common gain of {summary.gain_db:+.1f} dB\n"
     )
 
 
-def _faust_summary(summary: Program) -> str:
+def _faust_summary(summary: FaustSummary) -> str:
     knocks = f"knocks at {summary.knock_rate} Hz" if summary.knock_rate else "no knocks"
     return (
-        f"{counted(summary.keys, 'key')} with tables, {_count_guesses(summary.guesses)}\n"
-        f"{summary.modes} resonators for each voice, {counted(summary.left_out, 'mode')} left out, {knocks}, "
-        f"{summary.numbers} numbers, a common gain of {summary.gain_db:+.1f} dB\n"
+        f"{counted(summary.keys, 'key')} with tables, {_count_guesses(summary.unrecorded)}\n"
+        f"{summary.modes} resonators for each voice, {counted(summary.omitted_modes, 'mode')} left out, {knocks}, "
+        f"{summary.table_entries} numbers, a common gain of {summary.gain_db:+.1f} dB\n"
     )
 
 

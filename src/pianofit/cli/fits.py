@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from ..errors import OutputError
 from ..io.files import (
     check_sound_target,
@@ -47,17 +47,17 @@ def analyse(
 ) -> None:
     """Measure pitch, inharmonicity, losses and partials of a recording, without a hammer model."""
     from ..analysis import analyse as run
-    from ..analysis import as_dict
+    from ..analysis import analysis_to_dict
 
     recording = load_recording(file, channel=channel)
     analysis = run(recording, note=note, f0=f0)
     analysis = replace(analysis, warnings=recording.warnings + analysis.warnings)
-    print_result(as_dict(analysis), _table(analysis), as_json)
+    print_result(analysis_to_dict(analysis), _table(analysis), as_json)
 
 
 def _table(analysis: Analysis) -> str:
     """String parameters with 95 % intervals, then a line for every partial with standard errors."""
-    from ..analysis import COLUMNS, near_note, rows
+    from ..analysis import COLUMNS, nearest_note, partial_rows
 
     laws = (
         ("f0", analysis.f0, analysis.f0_error, "Hz", ""),
@@ -67,10 +67,10 @@ def _table(analysis: Analysis) -> str:
     )
     cells = []
     for name, value, error, unit, note in laws:
-        text, span = format_with_interval(value, (value - NORMAL * error, value + NORMAL * error))
+        text, span = format_with_interval(value, (value - HALF_WIDTH_95 * error, value + HALF_WIDTH_95 * error))
         cells.append((name, text, unit, span, note))
     lines = [
-        near_note(analysis.f0),
+        nearest_note(analysis.f0),
         *columns(cells, right=1),
         f"partials scatter by {analysis.scatter_cents:.2f} cents",
         "",
@@ -78,7 +78,7 @@ def _table(analysis: Analysis) -> str:
         " ".join(f"{f'{column.name}, {column.unit}' if column.unit else column.name:>{column.width}}"
                  for column in COLUMNS),
     ]  # fmt: skip
-    for row in rows(analysis):
+    for row in partial_rows(analysis):
         cells = []
         for at, column in enumerate(COLUMNS):
             if COLUMNS[at + 1 : at + 2] and COLUMNS[at + 1].error:
@@ -171,7 +171,7 @@ def predict(
 
 def _predict(fit: Path, file: Path, out: Path | None, channel: str, force: bool) -> dict:
     """Predict the recording `file` from a `fit.json`. Write the predicted sound to `out`, if given."""
-    from ..fit_file import fit_path, gains_of, mixture_of, read_fit
+    from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
     from ..model.program_cache import enable_program_cache
     from ..result.alignment import estimate_contact_onset
     from ..result.prediction import predict_recording
@@ -180,10 +180,10 @@ def _predict(fit: Path, file: Path, out: Path | None, channel: str, force: bool)
         check_sound_target(out, force)
     fit = fit_path(fit)
     document = read_fit(fit)
-    mixture = mixture_of(document, fit)
+    mixture = notes_of_minima(document, fit)
     recording = load_recording(file, channel=channel)
     enable_program_cache()
-    result = predict_recording(mixture, recording, gains=gains_of(document))
+    result = predict_recording(mixture, recording, gains=relative_gains(document))
     if out is not None:
         strike = result.note.strike(recording.rate)
         contact = estimate_contact_onset(result.note, strike, recording)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import ParameterError
-from ..felt import BOXES, make_hammer
+from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
-from ..setup import ON_THE_STRING
+from ..setup import STRING_PICKUPS
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
 from .summary import contact_of
 
@@ -121,7 +121,7 @@ def _apply_changes(preset: Preset, change: list[str], velocity: float | None) ->
     values = preset.string._asdict() | preset.hammer._asdict() | changed
     if velocity is not None:
         values["v_H0"] = velocity
-    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", BOXES)
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", ALL_PARAMETERS)
     return (
         preset.string._replace(**{k: values[k] for k in preset.string._fields}),
         make_hammer(values, "--set"),
@@ -131,7 +131,7 @@ def _apply_changes(preset: Preset, change: list[str], velocity: float | None) ->
 
 def _apply_positions(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
     """Replace strike and pickup position in a geometry."""
-    if pickup is not None and quantity not in ON_THE_STRING:
+    if pickup is not None and quantity not in STRING_PICKUPS:
         raise ParameterError(
             f"pickup={pickup:g} m: a {quantity} pickup has no position; choose velocity or displacement"
         )

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..analysis.note_names import near_note
+from ..analysis.note_names import nearest_note
 from ..io.number_format import columns, format_like, format_with_interval
-from ..report.text import recontact_text, ringing_line
+from ..report.text import modal_response_line, recontact_text
 
 if TYPE_CHECKING:
     from ..model import Simulation
@@ -37,13 +37,13 @@ def summary(document: dict, folder: Path) -> str:
     # Invariants come first, because they do not depend on assumed sizes or velocities.
     lines += [x for table in (document["invariants"], document["parameters"]) for x in _value_lines(table)]
     d, levels = document["derived"], document["levels"]
-    lines.append(f"f0 {d['f0']:.3f} Hz ({near_note(d['f0'])}), B {d['B']:.4g}, {contact(d)}")
+    lines.append(f"f0 {d['f0']:.3f} Hz ({nearest_note(d['f0'])}), B {d['B']:.4g}, {contact(d)}")
     only = "" if levels["path_only_db"] is None else f", initial hammer {levels['path_only_db']:.2f} dB"
     count = len(document["recordings"])
     where = "levels of partials" + (f" in {count} recordings" if count > 1 else "")
     lines.append(f"{levels['partials']} {where}: initial {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
-    lines += [ringing_line(document["ringing"])] if "ringing" in document else []
+    lines += [modal_response_line(document["ringing"])] if "ringing" in document else []
     if count > 1:
         lines += [_recording_line(recording) for recording in document["recordings"]]
     for name in ("global", "band1", "band2", "band3"):

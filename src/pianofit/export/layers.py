@@ -25,7 +25,7 @@ from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
     "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfade_layers", "format_keys", "key_ranges", "layer_velocities",
-    "parse_keys", "silent_keys", "without_gaps",
+    "parse_keys", "silent_keys", "fill_gaps",
 ]  # fmt: skip
 
 # MIDI velocities of strokes.
@@ -89,7 +89,7 @@ def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
     return spans
 
 
-def without_gaps(keys: Sequence[int]) -> list[int]:
+def fill_gaps(keys: Sequence[int]) -> list[int]:
     """Sampled keys with the fewest evenly spaced additions that let every key between them be played."""
     filled = list(keys[:1])
     for low, high in pairwise(keys):

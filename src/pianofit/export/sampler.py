@@ -46,13 +46,13 @@ class ExportSummary(NamedTuple):
     """Contents of the written folder."""
 
     keys: int  # sampled keys
-    guesses: int  # sampled keys that were never recorded
+    unrecorded: int  # sampled keys that were never recorded
     transposed: int  # keys that play the samples of another key
     samples: int
     seconds: float  # of all samples
     bytes: int  # of all samples
     gain_db: float  # of all samples
-    silent: list[int]  # MIDI keys without a sample in reach
+    silent_keys: list[int]  # MIDI keys without a sample in reach
 
 
 class ExportOptions(NamedTuple):

@@ -13,13 +13,21 @@ from typing import Any
 from ..errors import ParameterError
 from ..parameters import HAMMER_NAMES, PARAMETERS, Hammer, Parameter, check
 from .hunt_crossley import HUNT_CROSSLEY
-from .law import COMMON, FeltLaw
+from .law import COMMON_PARAMETERS, FeltLaw
 from .relaxing import RelaxingHammer
 
 __all__ = [
-    "BOXES", "COMMON", "DEFAULT_LAW", "LAWS", "FeltLaw", "RelaxingHammer", "check_hammer", "is_builtin", "law_of",
+    "ALL_PARAMETERS",
+    "COMMON_PARAMETERS",
+    "DEFAULT_LAW",
+    "LAWS",
+    "FeltLaw",
+    "RelaxingHammer",
+    "check_hammer",
+    "is_builtin",
+    "law_of",
     "make_hammer",
-]  # fmt: skip
+]
 
 # The felt laws of this package by their name in files.
 LAWS: dict[str, FeltLaw] = {
@@ -30,7 +38,7 @@ LAWS: dict[str, FeltLaw] = {
 # The law of the paper, for setups that name none.
 DEFAULT_LAW = HUNT_CROSSLEY
 # Unit, meaning and bounds of all parameters that fits with these laws search.
-BOXES: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
+ALL_PARAMETERS: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
 
 def is_builtin(law: FeltLaw) -> bool:
@@ -48,7 +56,7 @@ def law_of(hammer: Any) -> FeltLaw:
     """
     kind = type(hammer)
     for law in (getattr(kind, "law", None), *LAWS.values()):
-        if law is not None and law.kind is kind:
+        if law is not None and law.hammer_type is kind:
             return law
     raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
 
@@ -68,7 +76,7 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
     values = {name: float(value) for name, value in hammer._asdict().items()}
     if law.hammers is not None:
         values = {name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}
-    check(values, where, BOXES | law.boxes)
+    check(values, where, ALL_PARAMETERS | law.hammer_parameters)
 
 
 def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltLaw | None = None) -> Any:
@@ -80,7 +88,7 @@ def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltL
         If a value is missing.
     """
     if law is not None and law.hammers is None:
-        if missing := [name for name in law.boxes if name not in values]:
+        if missing := [name for name in law.hammer_parameters if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
         return law.make_hammer(values)
     common = [values[name] for name in HAMMER_NAMES]

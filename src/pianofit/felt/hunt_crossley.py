@@ -7,17 +7,17 @@ from typing import Any
 from ..parameters import PARAMETERS, Hammer, Parameter
 from .law import FeltLaw
 
-__all__ = ["COLUMNS", "HUNT_CROSSLEY", "LAWS", "POWER", "literature"]
+__all__ = ["COLUMNS", "HUNT_CROSSLEY", "LAWS", "POWER", "published_parameter"]
 
 # Prior standard deviations of log(value) around the published hammer for the key. Felts of similar instruments differ
 # by factors (Chaigne and Askenfelt 1994; Chabassier). K_H stands for the force at a reference compression.
-SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2}
+FELT_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2}
 # The parameters of a fit next to those of the string, for all laws of this package, including parameters that a law
 # does not have. So a seed draws the same numbers for all laws.
 COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
 
 
-def literature(name: str) -> Parameter:
+def published_parameter(name: str) -> Parameter:
     """Return K_H, p or μ with the bounds of the paper, and the published value for the key as prior median."""
 
     def median(midi: float) -> float:
@@ -25,7 +25,7 @@ def literature(name: str) -> Parameter:
 
         return getattr(typical(midi).hammer, name)
 
-    return PARAMETERS[name]._replace(median=median, spread=SPREAD[name])
+    return PARAMETERS[name]._replace(median=median, spread=FELT_SPREAD[name])
 
 
 def force(u: Any, w: Any, felt: Any) -> Any:
@@ -40,9 +40,15 @@ def storage(u: Any, felt: Any) -> Any:
 
 def _law(name: str, formula: str, *own: str) -> FeltLaw:
     return FeltLaw(
-        name, {n: literature(n) for n in own}, force, storage, power=("K_H", "p"), hammers=Hammer, columns=COLUMNS,
+        name,
+        {n: published_parameter(n) for n in own},
+        force,
+        storage,
+        power=("K_H", "p"),
+        hammers=Hammer,
+        columns=COLUMNS,
         formula=(formula,),
-    )  # fmt: skip
+    )
 
 
 HUNT_CROSSLEY = _law("hunt-crossley", r"F = K_H u^p (1 + μ \dot{u})", "K_H", "mu", "p")

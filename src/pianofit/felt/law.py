@@ -18,13 +18,13 @@ from typing import Any
 from ..errors import ParameterError
 from ..parameters import PARAMETERS, Parameter, check
 
-__all__ = ["COMMON", "FeltLaw"]
+__all__ = ["COMMON_PARAMETERS", "FeltLaw"]
 
 # Parameters of every hammer, in addition to those of its felt.
-COMMON = ("M_H", "v_H0")
+COMMON_PARAMETERS = ("M_H", "v_H0")
 # Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.
 RESERVED_NAMES = {
-    *COMMON,
+    *COMMON_PARAMETERS,
     *(name for name in PARAMETERS if name not in ("K_H", "mu", "p")),
     "x0",
     "width",
@@ -94,27 +94,29 @@ class FeltLaw:
         return f"FeltLaw({self.name!r})"
 
     @cached_property
-    def kind(self) -> Any:
+    def hammer_type(self) -> Any:
         """Type of the hammers with this law: a named tuple, and so a JAX pytree, with the attribute `law`."""
         if self.hammers is not None:
             return self.hammers
         name = self.name.replace("-", "_")
-        fields = namedtuple(name, (*self.parameters, *COMMON))  # the fields follow from the parameters
+        fields = namedtuple(name, (*self.parameters, *COMMON_PARAMETERS))  # the fields follow from the parameters
         return type(name, (fields,), {"__slots__": (), "law": self})
 
     @property
-    def boxes(self) -> dict[str, Parameter]:
+    def hammer_parameters(self) -> dict[str, Parameter]:
         """Unit, meaning and bounds of the parameters of a hammer."""
-        return {**self.parameters, **{name: PARAMETERS[name] for name in COMMON}}
+        return {**self.parameters, **{name: PARAMETERS[name] for name in COMMON_PARAMETERS}}
 
-    def scaling(self, units: str) -> tuple[str, ...]:
+    def parameters_with_unit(self, units: str) -> tuple[str, ...]:
         """Return the parameters whose unit contains one of `units`, such as "N" or "m"."""
         pattern = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
         return tuple(name for name, parameter in self.parameters.items() if pattern.search(parameter.unit))
 
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
         """Return a hammer with these `values`; fields of its type that the law does not have are `absent`."""
-        return self.kind(*(values[name] if name in self.boxes else absent for name in self.kind._fields))
+        return self.hammer_type(
+            *(values[name] if name in self.hammer_parameters else absent for name in self.hammer_type._fields)
+        )
 
     def hammer(self, **values: float) -> Any:
         """Return a hammer with this felt, from the parameters of the law, M_H, kg, and v_H0, m/s.
@@ -124,9 +126,9 @@ class FeltLaw:
         ParameterError
             For a value that is missing, unknown or out of bounds, and for a felt that returns more than it stores.
         """
-        if missing := [name for name in self.boxes if name not in values]:
+        if missing := [name for name in self.hammer_parameters if name not in values]:
             raise ParameterError(f"felt law {self.name}: a hammer needs {', '.join(missing)} too")
-        hammer = self.make_hammer(check(values, f"felt law {self.name}", self.boxes))
+        hammer = self.make_hammer(check(values, f"felt law {self.name}", self.hammer_parameters))
         if self.storage is not None and self.hammers is None:
             from ..model.felt.passivity import check_passive
 

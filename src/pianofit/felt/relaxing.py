@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from ..io.number_format import summary
 from ..parameters import Number, Parameter
-from .hunt_crossley import COLUMNS, literature
+from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
 
 __all__ = ["LAWS", "STULOV", "RelaxingHammer"]
@@ -55,8 +55,8 @@ def slow(u: Any, felt: Any) -> Any:
 STULOV = FeltLaw(
     "stulov",
     {
-        "K_H": literature("K_H"),
-        "p": literature("p"),
+        "K_H": published_parameter("K_H"),
+        "p": published_parameter("p"),
         "epsilon": Parameter("1", "share of the felt's stiffness that relaxes", 1e-3, 0.99, 0.5, 0.7),
         "tau": Parameter("s", "relaxation time of the felt", 1e-6, 1e-2, 1e-4, 1.5),
     },

@@ -10,7 +10,7 @@ import numpy as np
 
 from .derivatives import Evaluation
 
-__all__ = ["TableState", "Candidates", "chosen"]
+__all__ = ["TableState", "Candidates", "select"]
 
 
 class TableState(NamedTuple):
@@ -72,6 +72,6 @@ class Candidates:
         return jax.tree.map(lambda *pair: np.concatenate(pair), self, other)
 
 
-def chosen(mask: np.ndarray, one, other):
+def select(mask: np.ndarray, one, other):
     """`one` where `mask` [B] is true, else `other`: trees of arrays [B, ...]."""
     return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *(1,) * (np.ndim(a) - 1)), a, b), one, other)

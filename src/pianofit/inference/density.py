@@ -31,7 +31,7 @@ __all__ = [
     "density_context",
     "log_density",
     "log_likelihood",
-    "start",
+    "random_start",
 ]
 
 # Scale of a parameter at a bound: its prior's standard deviation, or this fraction of its range if that is smaller.
@@ -71,8 +71,8 @@ class DensityContext(NamedTuple):
 
 def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
     """Collect what the density needs at the best minimum."""
-    u, o, minima = problem.unknowns, problem.observed, estimate.minima
-    optimiser, best = minima.descent, minima.people
+    u, o, minima = problem.parametrisation, problem.observed, estimate.minima
+    optimiser, best = minima.optimiser, minima.candidates
     cents = optimiser.model_inputs_with_strings(best.theta[:1])[1]
     fields = (
         best.theta[0],
@@ -91,18 +91,18 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         optimiser.stroke,
         optimiser.columns,
         cents,
-        (o.string_number, o.law, float(problem.start.geometry.length)),
-        problem.scene,
+        (o.string_number, o.law, float(problem.initial_values.geometry.length)),
+        problem.model_inputs,
     )
     return DensityContext(*jax.tree.map(np.asarray, fields))
 
 
 def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     """Root of Laplace's covariance of θ [size, free]; parameters at a bound use `RANGE_FRACTION`."""
-    u = problem.unknowns
-    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(estimate.z))
+    u = problem.parametrisation
+    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(estimate.theta))
     # With K_H at a bound, the force only follows p and counts as at a bound too.
-    at_bound = u.at_bound(estimate.z)[free]
+    at_bound = u.at_bound(estimate.theta)[free]
     covariance = (tangent @ estimate.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
     covariance = np.where(at_bound[:, None] | at_bound, 0.0, covariance)
     wide = np.minimum(u.sd, RANGE_FRACTION * (u.upper - u.lower))[free]
@@ -134,7 +134,7 @@ def _reflect(x, low, high):
     return jnp.where(bounded, low + jnp.where(phase < width, phase, 2 * width - phase), x)
 
 
-def start(at: DensityContext, key, spread: float) -> Point:
+def random_start(at: DensityContext, key, spread: float) -> Point:
     """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
         jnp.zeros(at.root.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.detected)

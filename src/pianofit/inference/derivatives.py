@@ -186,9 +186,9 @@ def _by_path(
 class LatentPosterior(NamedTuple):
     """Posterior means of the integrated quantities and of the residual e."""
 
-    common: np.ndarray  # a [G, K]
+    path: np.ndarray  # a [G, K]
     columns: np.ndarray  # Σ c_q B_q [R, K]
-    own: np.ndarray  # e [R, K]
+    residual: np.ndarray  # e [R, K]
     variance: np.ndarray  # of a + Σ c B at each entry [R, K]
 
 

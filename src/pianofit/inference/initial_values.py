@@ -15,7 +15,7 @@ import numpy as np
 from ..analysis import Analysis
 from ..conversions import midi_of
 from ..errors import SetupError
-from ..felt import BOXES, COMMON, DEFAULT_LAW, FeltLaw
+from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..setup import Setup
@@ -73,8 +73,12 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    fixed |= {name: "fixed" for name in BOXES if name in law.columns and name not in (*law.parameters, *COMMON)}
-    ranges = BOXES | law.boxes
+    fixed |= {
+        name: "fixed"
+        for name in ALL_PARAMETERS
+        if name in law.columns and name not in (*law.parameters, *COMMON_PARAMETERS)
+    }
+    ranges = ALL_PARAMETERS | law.hammer_parameters
     for name in set(values) & set(ranges):
         parameter = ranges[name]
         low, high = setup.bounds.get(name, (parameter.lower, parameter.upper))
@@ -91,7 +95,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         scale=setup.pickup_scale,
         # A user's law may use the literature's names for other quantities.
         reference_hammer=Hammer(
-            **hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}
+            **hammer | {name: values[name] for name in (COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES)}
         ),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
@@ -146,5 +150,5 @@ def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str,
     if "length" in assumed:
         assumptions |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
     if "mass" in assumed:
-        assumptions |= dict.fromkeys((*law.scaling("N"), "M_H"), ("mass",))
+        assumptions |= dict.fromkeys((*law.parameters_with_unit("N"), "M_H"), ("mass",))
     return assumptions

@@ -9,21 +9,21 @@ import numpy as np
 
 from ..errors import ParameterError
 from .map_estimate import Estimate, Progress
-from .parametrisation import ABSENT
+from .parametrisation import LOG_ABSENT_LOSS
 from .problem import FitProblem
 
 __all__ = [
-    "MEANS",
+    "METHODS",
     "Observations",
     "IntervalResult",
     "check_intervals",
-    "named",
+    "parameter_indices",
     "unbounded_warnings",
     "reported_parameters",
     "compute_intervals",
 ]
 
-MEANS = ("laplace", "profile", "posterior")
+METHODS = ("laplace", "profile", "posterior")
 
 
 class Observations(NamedTuple):
@@ -56,9 +56,9 @@ def check_intervals(method: str, recipe: str = "default") -> None:
     ParameterError
         Naming the argument and its value.
     """
-    if method not in MEANS:
-        raise ParameterError(f"intervals={method!r} must be one of {', '.join(MEANS)}")
-    if method != MEANS[0] and recipe != "default":
+    if method not in METHODS:
+        raise ParameterError(f"intervals={method!r} must be one of {', '.join(METHODS)}")
+    if method != METHODS[0] and recipe != "default":
         raise ParameterError(f"intervals={method!r} requires the default recipe; recipe={recipe!r} has no intervals")
     if method == "posterior":
         from .nuts import check_sampler
@@ -85,19 +85,21 @@ def compute_intervals(
 
 def reported_parameters(problem: FitProblem) -> dict[str, int]:
     """Indices in θ, by name, of the free shared parameters and of the reference stroke's velocity."""
-    u = problem.unknowns
-    return {name: i for i, name in (*enumerate(u.names), (problem.velocity, "v_H0")) if u.free[i]}
+    u = problem.parametrisation
+    return {name: i for i, name in (*enumerate(u.names), (problem.reference_velocity_index, "v_H0")) if u.free[i]}
 
 
-def named(problem: FitProblem) -> dict[str, int]:
+def parameter_indices(problem: FitProblem) -> dict[str, int]:
     """Indices in θ, by name, of the parameters of the felt law and of every velocity.
 
     `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N.
     """
-    u = problem.unknowns
-    shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > ABSENT}
+    u = problem.parametrisation
+    shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > LOG_ABSENT_LOSS}
     strokes = range(u.shared, u.size)
-    return shared | {"v_H0" if at == problem.velocity else f"v_H0 {at - u.shared + 1}": at for at in strokes}
+    return shared | {
+        "v_H0" if at == problem.reference_velocity_index else f"v_H0 {at - u.shared + 1}": at for at in strokes
+    }
 
 
 def unbounded_warnings(entries: dict[str, dict]) -> list[str]:

@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 from scipy.special import erfcx
 from scipy.stats import norm
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from .marginal_curvature import marginalise_nuisances
 from .problem import FitProblem
 from .refine import Minima
@@ -42,7 +42,7 @@ class Posterior:
 
     mean: np.ndarray  # [B, size]
     covariance: np.ndarray  # [B, size, size]; 0 for fixed parameters
-    share: np.ndarray  # posterior weights [B]
+    weight: np.ndarray  # posterior weights [B]
 
     def interval(self, change: np.ndarray) -> tuple[float, float] | None:
         """The 95 % interval of the sum of logarithms `change` [size]; None if all of them are fixed."""
@@ -55,42 +55,42 @@ class Posterior:
 
         def end(probability: float) -> float:
             low, high = float(centre.min() - reach), float(centre.max() + reach)
-            root: Any = brentq(lambda x: float(self.share @ norm.cdf((x - centre) / sd)) - probability, low, high)
+            root: Any = brentq(lambda x: float(self.weight @ norm.cdf((x - centre) / sd)) - probability, low, high)
             return float(root)
 
         return end(TAIL), end(1 - TAIL)
 
-    def spread(self, change: np.ndarray) -> float:
+    def sd(self, change: np.ndarray) -> float:
         """The standard deviation of a Gaussian with the same 95 % interval; 0 if all are fixed."""
         low, high = self.interval(change) or (0.0, 0.0)
-        return (high - low) / (2 * NORMAL)
+        return (high - low) / (2 * HALF_WIDTH_95)
 
-    def given(self, fixed: np.ndarray) -> Posterior:
+    def condition_on(self, fixed: np.ndarray) -> Posterior:
         """Condition on the sum of logarithms `fixed` [size], at each minimum's value: gauge-fixed."""
         covariance = self.covariance.copy()
         for cov in covariance:
             variance = fixed @ cov @ fixed
             if variance > 0:
                 cov -= np.outer(cov @ fixed, cov @ fixed) / variance
-        return Posterior(self.mean, covariance, self.share)
+        return Posterior(self.mean, covariance, self.weight)
 
 
 def laplace(problem: FitProblem, minima: Minima) -> Posterior:
     """The mixture of the minima of F."""
-    u, candidates = problem.unknowns, minima.people
+    u, candidates = problem.parametrisation, minima.candidates
     logs, covariances, volumes = [], [], []
     for i in range(len(candidates)):
         precision, log_det = _precision(problem, minima, i)
         covariance = np.zeros((u.size, u.size))
         bound = u.at_bound(candidates.theta[i])
-        free = minima.descent.is_free & ~bound
+        free = minima.optimiser.is_free & ~bound
         along = u.bound_jacobian(candidates.theta[i : i + 1], bound[None])[0]
         projected = along.T @ precision @ along
         inner = projected[np.ix_(free, free)]
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(free, free)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
-        slope = along.T @ minima.descent.slope(candidates)[i]
-        for k in np.flatnonzero(minima.descent.is_free & bound):
+        slope = along.T @ minima.optimiser.slope(candidates)[i]
+        for k in np.flatnonzero(minima.optimiser.is_free & bound):
             across = projected[k, k] - projected[k] @ covariance @ projected[k]
             log_det += _log_curvature(abs(slope[k]), max(across, FLAT * projected[k, k]))
         tangent = u.tangent(candidates.theta[i]) @ along
@@ -98,7 +98,7 @@ def laplace(problem: FitProblem, minima: Minima) -> Posterior:
         covariances.append(0.5 * (covariance + covariance.T))  # symmetric to the last bit
         volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))
         logs.append(u.log_values(candidates.theta[i]))
-    score = -minima.F + np.array(volumes)
+    score = -minima.nll + np.array(volumes)
     weight = np.exp(score - score.max())
     return Posterior(np.array(logs), np.array(covariances), weight / weight.sum())
 
@@ -113,10 +113,10 @@ def _log_curvature(slope: float, curvature: float) -> float:
 
 def _precision(problem: FitProblem, minima: Minima, i: int) -> tuple[np.ndarray, float]:
     """Precision of θ [size, size] with φ and w of all tables integrated out, and the log determinant of their part."""
-    u, candidates = problem.unknowns, minima.people
-    precision = np.diag(np.where(minima.descent.is_free, u.precision, 0.0))
+    u, candidates = problem.parametrisation, minima.candidates
+    precision = np.diag(np.where(minima.optimiser.is_free, u.precision, 0.0))
     log_det = 0.0
-    for table, part, hyper in zip(minima.descent.tables, candidates.parts, HYPER, strict=True):
+    for table, part, hyper in zip(minima.optimiser.tables, candidates.parts, HYPER, strict=True):
         curvature, volume = marginalise_nuisances(table, jax.tree.map(lambda x: x[i], part), hyper)
         precision += curvature
         log_det += volume

@@ -42,7 +42,7 @@ from scipy.special import log_ndtr
 from ..model.x64 import AnyArray
 
 __all__ = [
-    "ADDED",
+    "INTERFERENCE_DB",
     "CovarianceFactors",
     "Predicted",
     "NodeSolutions",
@@ -67,7 +67,7 @@ Space = Any
 # Keeps the covariance of a path without variance positive definite, in the table's unit squared.
 JITTER = 1e-10
 # 20/log 10 over √2: effect on a level of an amplitude η R that adds at any phase, dB.
-ADDED = 20 / np.log(10) / np.sqrt(2)
+INTERFERENCE_DB = 20 / np.log(10) / np.sqrt(2)
 # LAPACK's inverse of a triangular matrix.
 _trtri: Any = get_lapack_funcs("trtri", dtype=np.float64)
 
@@ -129,7 +129,7 @@ def _half_log_det(whitening: Values, xp: Space) -> Values:
 
 def interference_db(table: ObservationTable, phi: Values, xp: Space = np) -> Values:
     """Standard deviation of a level caused by other sounds, dB [R, K]."""
-    return xp.exp(phi[3]) * ADDED * table.ratio
+    return xp.exp(phi[3]) * INTERFERENCE_DB * table.ratio
 
 
 def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> Values:

@@ -29,12 +29,12 @@ class Estimate(NamedTuple):
 
     minima: Minima
     posterior: Posterior
-    lanes: int  # number of strokes that the model computed
+    n_strokes_computed: int  # number of strokes that the model computed
 
     @property
-    def z(self) -> np.ndarray:
+    def theta(self) -> np.ndarray:
         """θ of the minimum with the largest posterior weight, which is reported first [size]."""
-        return self.minima.people.theta[0]
+        return self.minima.candidates.theta[0]
 
 
 def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda *_: None) -> Estimate:
@@ -53,14 +53,18 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     progress("string and hammer", 0.75)
     minima = refine_minima(problem, candidates, fixed, string)
     progress("intervals", 0.88)
-    return Estimate(*_deduplicate(minima, laplace(problem, minima)), fixed.lanes + minima.descent.lanes)
+    return Estimate(
+        *_deduplicate(minima, laplace(problem, minima)), fixed.n_strokes_computed + minima.optimiser.n_strokes_computed
+    )
 
 
 def fit_string(problem: FitProblem) -> Candidates:
     """Fit c, κ, b1 and b2 to frequencies, decays and the prior alone, before any hammer is known."""
     optimiser = Optimiser(problem, tables=STRINGS)
     phi = [np.asarray(table.prior[0]) for table in optimiser.tables]
-    return optimiser.minimise(optimiser.initialise(problem.unknowns.mean[None], phi), 0.0, STRING_STEPS, STRING_GAIN)
+    return optimiser.minimise(
+        optimiser.initialise(problem.parametrisation.mean[None], phi), 0.0, STRING_STEPS, STRING_GAIN
+    )
 
 
 def _deduplicate(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:
@@ -72,20 +76,20 @@ def _deduplicate(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterio
     """
     sd = np.sqrt(np.maximum(np.einsum("bii->bi", posterior.covariance), 0.0))
     kept: list[int] = []
-    for i in np.argsort(minima.F, kind="stable"):
+    for i in np.argsort(minima.nll, kind="stable"):
         distances = [
             (np.abs(posterior.mean[i] - posterior.mean[j]) / np.where(sd[j] > 0, sd[j], np.inf)).max() for j in kept
         ]
         if min(distances, default=np.inf) > SAME:
             kept.append(int(i))
-    order = np.array(kept)[np.argsort(-posterior.share[kept], kind="stable")]
-    weight = posterior.share[order] / posterior.share[order].sum()
+    order = np.array(kept)[np.argsort(-posterior.weight[kept], kind="stable")]
+    weight = posterior.weight[order] / posterior.weight[order].sum()
     return minima.take(order), Posterior(posterior.mean[order], posterior.covariance[order], weight)
 
 
 def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
     """θ of the setup's initial values, and of the prior means for all others [size]."""
-    u, start = problem.unknowns, problem.start
+    u, start = problem.parametrisation, problem.initial_values
     theta = u.mean.copy()
     for i, name in enumerate(u.names):
         if u.free[i]:
@@ -94,7 +98,7 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
         force, p = u.force_and_exponent_index
         theta[force] += np.exp(theta[p]) * u.log_reference_compression
     theta[:STRING_SIZE] = string
-    reference = u.shared + problem.layout.stroke[problem.reference]
+    reference = u.shared + problem.structure.stroke[problem.reference]
     if u.free[reference]:
         theta[reference] = np.log(start.initial["v_H0"])
     return u.project(theta)

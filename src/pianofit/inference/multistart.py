@@ -30,7 +30,7 @@ SECOND, SECOND_STEPS, SECOND_FLOOR = 24, 6, 1.0
 # many in the treble, where hammers are distinguished least and cost least.
 NEAR, LAST_STEPS = 10.0, 25
 # Candidates closer than this, in the prior's standard deviations, are merged.
-ONE_VALLEY = 0.2
+MERGE_DISTANCE = 0.2
 # Rounds of restarts about the best continue until one lowers F by less than this. A likelihood ratio of 1.6 does not
 # distinguish hammers.
 GAIN = 0.5
@@ -119,7 +119,7 @@ def multistart(
 
 def _survivors(optimiser: Optimiser, candidates: Candidates, within: float = np.inf) -> Candidates:
     """The lowest candidates after merging."""
-    distinct = deduplicate(candidates, optimiser.unknowns, optimiser.total(candidates), within, ONE_VALLEY)
+    distinct = deduplicate(candidates, optimiser.unknowns, optimiser.total(candidates), within, MERGE_DISTANCE)
     return candidates.take(np.array(distinct[:SECOND], int))
 
 

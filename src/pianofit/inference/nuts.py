@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
 from ..io.table_output import require_optional
 from ..model.x64 import float64, x64_scope
 from .batched_model import StaticConfig, thread_pool
-from .density import DensityContext, density_context, log_density, log_likelihood, reflect_into_bounds, start
-from .intervals import IntervalResult, Observations, named, reported_parameters, unbounded_warnings
+from .density import DensityContext, density_context, log_density, log_likelihood, random_start, reflect_into_bounds
+from .intervals import IntervalResult, Observations, parameter_indices, reported_parameters, unbounded_warnings
 from .likelihood import ObservationTable
 from .map_estimate import Estimate
 from .problem import FitProblem
@@ -40,7 +40,7 @@ MOST_RHAT, LEAST_ESS = 1.01, 400
 TAILS = 0.025, 0.975
 # Bins of a histogram of the interval, and the ratio of a normal density at the interval's ends to its maximum. A
 # density that a bound cuts off has more.
-BINS, CUT = 20, float(np.exp(-0.5 * NORMAL**2))
+BINS, CUT = 20, float(np.exp(-0.5 * HALF_WIDTH_95**2))
 
 
 def check_sampler() -> None:
@@ -60,7 +60,7 @@ def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> Inte
     The same seed draws the same on the same machine.
     """
     check_sampler()
-    at, u = density_context(problem, estimate), problem.unknowns
+    at, u = density_context(problem, estimate), problem.parametrisation
     with x64_scope():
         keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed % 2**32), CHAINS))
         # Compile before the threads begin, or each thread would compile.
@@ -80,7 +80,7 @@ def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> Inte
         "divergences": int(divergent.sum()), "evaluations": int(steps.sum()), "parameters": convergence,
     }  # fmt: skip
     messages = (*_messages(convergence, int(divergent.sum())), *unbounded_warnings(entries))
-    values = {name: np.exp(logs[..., i]) for name, i in named(problem).items() if u.free[i]}
+    values = {name: np.exp(logs[..., i]) for name, i in parameter_indices(problem).items() if u.free[i]}
     observed = _observed(at, problem)
     return IntervalResult(
         "posterior", entries, messages, {"posterior": diagnostics}, values,
@@ -122,7 +122,7 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
         adaptation_info_fn=get_filter_adapt_info_fn(),
     )  # fmt: skip
     start_key, warmup_key, draw_key = jax.random.split(key, 3)
-    (state, adapted), _ = adapt.run(warmup_key, start(at, start_key, START_SD), num_steps=warmup)
+    (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, START_SD), num_steps=warmup)
     step: Any = blackjax.nuts(density, **adapted).step
 
     def draw(state: Any, key):
@@ -142,7 +142,7 @@ def _sampler() -> str:
 
 def _entry(problem: FitProblem, i: int, log: np.ndarray) -> dict:
     """The interval of one value; an end is unbounded where a search bound cuts the density off."""
-    bounds = problem.unknowns.range(i)
+    bounds = problem.parametrisation.range(i)
     low, high = np.quantile(log, TAILS)
     highest = np.histogram(log, bins=BINS, range=(low, high))[0].max()
     width = (high - low) / BINS

@@ -14,7 +14,7 @@ from .likelihood import ObservationTable
 __all__ = ["RecordingStructure", "Observations", "observe", "scatter_by_number", "string_law", "string_residuals"]
 
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
-HIGHEST = 10_000.0
+HIGHEST_HZ = 10_000.0
 # log τ, dB, of a table without τ.
 NONE = -50.0
 CENTS = 1200 / np.log(2)
@@ -108,7 +108,7 @@ def observe(
     detected = np.unique(np.concatenate([a.partials.number for a in analyses]))
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
-    number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST]
+    number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
     level = _levels(analyses, layout, number, ref, unit, path, gains)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
     frequency, decay = _string_tables(analyses, detected, law, ref)
@@ -169,7 +169,7 @@ def _levels(
     hyper = priors.LEVEL
     return ObservationTable(
         value=np.nan_to_num(level + unit),
-        variance=np.where(detected, error**2, priors.ABSENT_MARGIN**2),
+        variance=np.where(detected, error**2, priors.CENSORED_MARGIN**2),
         detected=detected.astype(float),
         censored=np.argwhere(censored),
         group=_one_hot(layout.group),
@@ -201,7 +201,7 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
     path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
     several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
     own = own[(own * several).any(axis=1)]
-    own_sd = np.array(priors.GAINS_APART if len(own) else [0.0])[:, None]
+    own_sd = np.array(priors.GAIN_DEVIATION if len(own) else [0.0])[:, None]
     gain = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
     ones = np.ones_like(own_sd)
     return np.concatenate([gain, onset]), np.concatenate(

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model.simulate import MOST_MODES
+from ..model.simulate import MAX_MODES
 from .batched_model import level_jacobians, level_jacobians_per_string, levels_per_string, run_in_batches
-from .candidates import Candidates, TableState, chosen
+from .candidates import Candidates, TableState, select
 from .derivatives import evaluate_batch
 from .likelihood import ObservationTable, em_weights
 from .parametrisation import STRING_SIZE
@@ -55,24 +55,26 @@ class Optimiser:
     """
 
     def __init__(self, problem: FitProblem, string: np.ndarray | None = None, tables: Sequence[str] = EVERY) -> None:
-        self.problem, self.unknowns = problem, problem.unknowns
-        self.scene, self.cfg = problem.scene, problem.cfg
+        self.problem, self.unknowns = problem, problem.parametrisation
+        self.model_inputs, self.cfg = problem.model_inputs, problem.cfg
         self.string = self.unknowns.mean[:STRING_SIZE] if string is None else string
         self.tables = tuple(getattr(problem.observed, name) for name in tables)
         self.uses_levels, self.string_fixed = "level" in tables, "frequency" not in tables
         if self.string_fixed:
-            inputs, cfg = self.scene, self.cfg
-            self.scene = inputs._replace(rate=inputs.rate / STEP_COARSENING, steps=inputs.steps // STEP_COARSENING)
+            inputs, cfg = self.model_inputs, self.cfg
+            self.model_inputs = inputs._replace(
+                rate=inputs.rate / STEP_COARSENING, steps=inputs.steps // STEP_COARSENING
+            )
             self.cfg = cfg._replace(n_modes=max(cfg.rows, cfg.n_modes // STEP_COARSENING))
         self.table = problem.observed.level
-        self.stroke = np.array(problem.layout.stroke)
+        self.stroke = np.array(problem.structure.stroke)
         self.columns = problem.observed.number - 1
         self.has_level = self.table.detected + 0.0
         self.has_level[tuple(self.table.censored.T)] = 1.0
         self.is_free = self.unknowns.free.copy()
         self.is_free[:STRING_SIZE] &= not self.string_fixed
         self.is_free[STRING_SIZE:] &= self.uses_levels
-        self.lanes = 0
+        self.n_strokes_computed = 0
 
     # --- the model ----------------------------------------------------------------------------------------------------
 
@@ -106,9 +108,9 @@ class Optimiser:
 
     def _levels(self, theta: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals of levels, their derivatives, and whether contacts ended."""
-        self.lanes += len(theta) * self.unknowns.strokes
+        self.n_strokes_computed += len(theta) * self.unknowns.strokes
         level, slope, ended = self._level_jacobians(theta)
-        shared = self.scene.free[self.scene.free >= 0][:-1] + STRING_SIZE
+        shared = self.model_inputs.free[self.model_inputs.free >= 0][:-1] + STRING_SIZE
         if not self.string_fixed:
             shared = np.append(np.arange(STRING_SIZE), shared)
         slope = slope[..., : len(shared) + 1]
@@ -125,13 +127,13 @@ class Optimiser:
     def discretisation_error_db(self, theta: np.ndarray) -> np.ndarray:
         """Error of the levels at `theta` [B, size] from the contact's step, dB [B, R, K]; extrapolated at order 2."""
         p = self.problem
-        fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
+        fine = p.model_inputs._replace(rate=p.model_inputs.rate * FINER, steps=p.model_inputs.steps * FINER)
         finer = run_in_batches(
-            levels_per_string, self.model_inputs_with_strings(theta), fine, p.cfg._replace(n_modes=MOST_MODES),
+            levels_per_string, self.model_inputs_with_strings(theta), fine, p.cfg._replace(n_modes=MAX_MODES),
             STRING_BATCH_SIZE,
         )[0]  # fmt: skip
         change = self._by_recording(finer) - self.level(theta)
-        shorter = (fine.rate / self.scene.rate) ** 2
+        shorter = (fine.rate / self.model_inputs.rate) ** 2
         return change * shorter / (shorter - 1) * self.has_level
 
     def level(self, theta: np.ndarray) -> np.ndarray:
@@ -142,12 +144,12 @@ class Optimiser:
         """Levels, dB [B, R, K], their derivatives [B, R, K, directions], and whether contacts ended [B]."""
         if self.string_fixed:
             level, slope, ended = run_in_batches(
-                level_jacobians, (self.string, self.model_inputs_of(theta)), self.scene, self.cfg
+                level_jacobians, (self.string, self.model_inputs_of(theta)), self.model_inputs, self.cfg
             )
         else:
             batch = self.model_inputs_with_strings(theta)
             level, slope, ended = run_in_batches(
-                level_jacobians_per_string, batch, self.scene, self.cfg, STRING_BATCH_SIZE
+                level_jacobians_per_string, batch, self.model_inputs, self.cfg, STRING_BATCH_SIZE
             )
         return self._by_recording(level), self._by_recording(slope), np.all(ended.reshape(len(theta), -1), axis=1)
 
@@ -251,7 +253,7 @@ class Optimiser:
         better = np.where(valid, self.total(trial), np.inf) < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
         damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
-        now = replace(chosen(better, trial, now), damping=damping)
+        now = replace(select(better, trial, now), damping=damping)
         if surrogate is None:
             now = replace(now, parts=tuple(self._update_nuisances(*pair, floor) for pair in self._by_table(now)))
         return replace(now, last_decrease=np.where(better | stuck, before - self.total(now), np.inf))
@@ -268,7 +270,7 @@ class Optimiser:
         derivatives = evaluate_batch(table, part.residual, part.jacobian, phi, w)
         inverse = _bfgs(part.inverse, phi - part.phi, derivatives.by_phi - slope)
         trial = part._replace(phi=phi, w=w, derivatives=derivatives, inverse=inverse)
-        return chosen(derivatives.nll < part.derivatives.nll, trial, part._replace(inverse=0.3 * part.inverse))
+        return select(derivatives.nll < part.derivatives.nll, trial, part._replace(inverse=0.3 * part.inverse))
 
     def slope(self, candidates: Candidates) -> np.ndarray:
         """F's gradient by θ [B, size]."""

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from ..felt import BOXES, FeltLaw
+from ..felt import ALL_PARAMETERS, FeltLaw
 from ..parameters import STRING_NAMES, Geometry, Parameter, String
 
-__all__ = ["ABSENT", "STRING_SIZE", "Parametrisation", "names_of"]
+__all__ = ["LOG_ABSENT_LOSS", "STRING_SIZE", "Parametrisation", "names_of"]
 
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
-ABSENT = -300.0
+LOG_ABSENT_LOSS = -300.0
 
 
 def names_of(law: FeltLaw) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ class Parametrisation:
     @cached_property
     def reported(self) -> tuple[str, ...]:
         """Names of parameters of this law's hammers; the others are fixed."""
-        own = (*STRING_NAMES, *self.law.kind._fields, "x0", "width")
+        own = (*STRING_NAMES, *self.law.hammer_type._fields, "x0", "width")
         return tuple(name for name in self.names if name in own)
 
     @property
@@ -143,16 +143,18 @@ class Parametrisation:
     def string(self, theta: np.ndarray) -> String:
         """The string at `theta` [size]."""
         values = zip(STRING_NAMES, np.exp(theta[:STRING_SIZE]), strict=True)
-        return String(*(_inside(BOXES[n], float(x)) for n, x in values))
+        return String(*(_inside(ALL_PARAMETERS[n], float(x)) for n, x in values))
 
     def hammer(self, theta: np.ndarray, stroke: int) -> Any:
         """The hammer at `theta` [size] with the velocity of one stroke."""
         logs = dict(zip(self.names, self.log_values(theta), strict=False)) | {"v_H0": theta[self.shared + stroke]}
-        return self.law.make_hammer({n: _inside(box, float(np.exp(logs[n]))) for n, box in self.law.boxes.items()})
+        return self.law.make_hammer(
+            {n: _inside(box, float(np.exp(logs[n]))) for n, box in self.law.hammer_parameters.items()}
+        )
 
     def value(self, name: str, log: float) -> float:
         """A value from its logarithm, limited to its range if it has one."""
-        boxes = BOXES | self.law.boxes
+        boxes = ALL_PARAMETERS | self.law.hammer_parameters
         return _inside(boxes[name], float(np.exp(log))) if name in boxes else float(np.exp(log))
 
     def geometry_at(self, theta: np.ndarray) -> Geometry:

@@ -26,35 +26,37 @@ class InferenceResult:
     """The problem, its estimate, and intervals by a method other than Laplace's approximation."""
 
     problem: FitProblem
-    found: Estimate
+    estimate: Estimate
     seed: int
-    view: IntervalResult | None = None
+    alternative: IntervalResult | None = None
 
     @property
     def posterior(self) -> Posterior:
         """Posterior by Laplace's approximation at all minima."""
-        return self.found.posterior
+        return self.estimate.posterior
 
     @cached_property
-    def begun(self) -> np.ndarray:
+    def initial_theta(self) -> np.ndarray:
         """Initial θ of the hammer's search, with the fitted string [size]."""
-        return initial_point(self.problem, self.found.z[:STRING_SIZE])
+        return initial_point(self.problem, self.estimate.theta[:STRING_SIZE])
 
     @cached_property
     def gauge_fixed(self) -> Posterior:
         """The posterior, gauge-fixed at the reference velocity if only the prior sets the scale of the velocities."""
         if not self.problem.velocity_scale_free:
             return self.posterior
-        return self.posterior.given(np.eye(self.problem.unknowns.size)[self.problem.velocity])
+        return self.posterior.condition_on(
+            np.eye(self.problem.parametrisation.size)[self.problem.reference_velocity_index]
+        )
 
     @property
     def excess(self) -> float:
         """Excess standard deviation of the levels, dB."""
-        return float(np.exp(self.found.minima.people.level.phi[0, 0]))
+        return float(np.exp(self.estimate.minima.candidates.level.phi[0, 0]))
 
     def alternative_interval(self, name: str) -> dict:
         """Interval of a parameter by the other method, in the form of `fit.json`; empty if there is none."""
-        return {} if self.view is None else self.view.entries.get(name, {})
+        return {} if self.alternative is None else self.alternative.entries.get(name, {})
 
 
 @one_blas_thread()

@@ -25,7 +25,7 @@ TAIL = 0.01
 # Initial σ, the excess of levels, dB; A, ℓ and η start at their priors.
 WIDE_EXCESS = 2.0
 # Batch size of a call with thousands of strokes: enough for matrix products.
-MANY_LANES = 64
+PRESCREEN_BATCH_SIZE = 64
 # Initial velocities, from the brightest stroke down, m/s: a forte,
 FASTEST = 4.0
 # and the factor from stroke to stroke, for layers far apart and for layers close together.
@@ -102,8 +102,10 @@ def _with_velocities(
     batch = np.concatenate(
         [np.tile(theta[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(theta))[:, None]], axis=1
     )
-    optimiser.lanes += len(batch)
-    level, ended = run_in_batches(levels, (optimiser.string, batch), optimiser.scene, optimiser.cfg, MANY_LANES)
+    optimiser.n_strokes_computed += len(batch)
+    level, ended = run_in_batches(
+        levels, (optimiser.string, batch), optimiser.model_inputs, optimiser.cfg, PRESCREEN_BATCH_SIZE
+    )
     level = level.reshape(len(grid), len(theta), -1)[..., optimiser.columns].swapaxes(0, 1)
     own = np.abs(grid - theta[:, shared:, None]).argmin(axis=2)
     starts = [own, *(np.tile(start, (len(theta), 1)) for start in _velocity_starts(optimiser, grid))]

@@ -17,19 +17,19 @@ __all__ = ["Hyperprior"]
 # --- hammer: about the literature's values for the key (literature.typical); the felt law has the felt's priors -------
 # Hammer masses of neighbouring instruments differ by tens of percent (Chaigne and Askenfelt 1994; Chabassier): standard
 # deviations of log(value).
-HAMMER_SPREAD = {"M_H": 0.4, "x0": 0.2, "width": 0.3}
+HAMMER_SD = {"M_H": 0.4, "x0": 0.2, "width": 0.3}
 # Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
 VELOCITY = 1.5
-VELOCITY_SPREAD = 0.8
+VELOCITY_SD = 0.8
 # String: about the analysis of one recording, wide enough to have no effect.
-STRING_SPREAD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
+STRING_SD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 
 # --- between string and table of partials -----------------------------------------------------------------------------
 # The gain of an output path is unknown, dB.
 GAIN = 60.0
 # Gains of recordings through one path: as likely equal, except for variation of single strokes, as normalised one by
 # one. Standard deviations from their mean, dB.
-GAINS_APART = (1.0, 20.0)
+GAIN_DEVIATION = (1.0, 20.0)
 # Standard deviation of a detected onset from the arrival of the wave, s,
 ONSET = 1e-3
 # plus this in periods: the first arrival on a stiff string is faint, and the largest of the first period is detected.
@@ -42,7 +42,7 @@ PATH = (4.5, 0.4)
 # Nodes of the quadrature over τ.
 PATH_NODES = 3
 # A censored partial may exceed the bound of its band by this, dB: leakage of neighbours can cancel it.
-ABSENT_MARGIN = 1.0
+CENSORED_MARGIN = 1.0
 
 
 class Hyperprior(NamedTuple):
@@ -79,7 +79,7 @@ def log_gain(gain: float, others: Sequence[float] = (0.0,)) -> float:
 
     All recordings of a path either share a gain or do not. As in F, the other recordings decide between the two.
     """
-    given, sd = np.asarray(others, float), np.array(GAINS_APART)
+    given, sd = np.asarray(others, float), np.array(GAIN_DEVIATION)
     square = ((given - given.mean()) ** 2).sum()
     regime = -(len(given) - 1) * np.log(sd) - 0.5 * square / sd**2
     predictive = norm.logpdf(gain, given.mean(), sd * np.sqrt(1 + 1 / len(given)))

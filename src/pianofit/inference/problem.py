@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis import SAME_KEY, Analysis, cents_above
+from ..analysis import SAME_KEY_CENTS, Analysis, cents_above
 from ..errors import FitError
-from ..felt import BOXES
+from ..felt import ALL_PARAMETERS
 from ..io.files import printable
 from ..io.number_format import counted
 from ..model import Simulation, simulate
@@ -21,7 +21,7 @@ from . import priors
 from .batched_model import ModelInputs, StaticConfig
 from .initial_values import InitialValues, starting_values
 from .observation_tables import Observations, RecordingStructure, observe, string_residuals
-from .parametrisation import ABSENT, STRING_SIZE, Parametrisation, names_of
+from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 
 __all__ = ["FitProblem", "simulation_grid", "build_problem"]
 
@@ -50,27 +50,27 @@ class FitProblem:
 
     recordings: tuple[Recording, ...]
     analyses: tuple[Analysis, ...]
-    start: InitialValues
-    layout: RecordingStructure
+    initial_values: InitialValues
+    structure: RecordingStructure
     reference: int  # the recording that sets the string's pitch and whose stroke is reported first
     measured_velocity: tuple[float | None, ...]  # measured velocity of every stroke, m/s
-    assumed_velocity_of: bool  # whether [fixed] gives the reference's velocity without naming a recording
+    velocity_without_file: bool  # whether [fixed] gives the reference's velocity without naming a recording
     # Files of [[recording]] that differ from a recording only in their kind, and that recording.
     unmatched_entries: tuple[tuple[str, str], ...]
-    unknowns: Parametrisation
+    parametrisation: Parametrisation
     observed: Observations
-    scene: ModelInputs
+    model_inputs: ModelInputs
     cfg: StaticConfig
 
     @property
     def path(self) -> bool:
         """True if an unknown path lies between the bridge and the file."""
-        return self.start.scale is None and self.start.quantity == "pressure"
+        return self.initial_values.scale is None and self.initial_values.quantity == "pressure"
 
     @property
     def calibrated(self) -> bool:
         """True if levels are in the pickup's own unit."""
-        return self.start.scale is not None
+        return self.initial_values.scale is not None
 
     @property
     def velocity_scale_free(self) -> bool:
@@ -78,15 +78,15 @@ class FitProblem:
         return not self.calibrated and all(v is None for v in self.measured_velocity)
 
     @property
-    def velocity(self) -> int:
+    def reference_velocity_index(self) -> int:
         """Index of the reference stroke's velocity in θ."""
-        return self.unknowns.shared + self.layout.stroke[self.reference]
+        return self.parametrisation.shared + self.structure.stroke[self.reference]
 
     def string_residuals(self, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Residuals [1, K] of frequencies and decays and their derivatives [1, K, 4] at a `string` [4]."""
         o = self.observed
         measured = o.frequency.value[0], o.decay.value[0]
-        return string_residuals(string, measured, o.string_number, o.law, float(self.start.geometry.length))
+        return string_residuals(string, measured, o.string_number, o.law, float(self.initial_values.geometry.length))
 
 
 def build_problem(
@@ -137,7 +137,7 @@ def _check_recordings(recordings: Sequence[Recording], analyses: Sequence[Analys
         if len(recordings) > 1 and len(analysis.partials) < FEWEST:
             raise FitError(f"{name}: only {counted(len(analysis.partials), 'partial')} above its noise; leave it out")
         cents = cents_above(analysis.f0, float(np.median([a.f0 for a in analyses])))
-        if abs(cents) > SAME_KEY:
+        if abs(cents) > SAME_KEY_CENTS:
             raise FitError(
                 f"{name}: its pitch, {analysis.f0:.2f} Hz, is {abs(cents):.0f} cents from that of the other "
                 "recordings; all must be of one key"
@@ -218,10 +218,10 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
 
 def _unknowns(start: InitialValues, measured: Sequence[float | None], log_u: float, path: bool) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
-    names, boxes = names_of(law), BOXES | law.boxes
-    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD | {n: p.prior_sd for n, p in law.parameters.items()}
+    names, boxes = names_of(law), ALL_PARAMETERS | law.hammer_parameters
+    spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
     # A loss that the law does not have gets no spread, so it is fixed.
-    mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else ABSENT for n in names])
+    mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else LOG_ABSENT_LOSS for n in names])
     sd = np.array([0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names])
     if path:  # an unknown path absorbs the effect of the width
         sd[names.index("width")] = 0.0
@@ -238,6 +238,6 @@ def _unknowns(start: InitialValues, measured: Sequence[float | None], log_u: flo
     velocities = [np.log(priors.VELOCITY if v is None else v) for v in measured]
     lower, upper = np.array([bounds[n] for n in names] + [bounds["v_H0"]] * len(measured)).T
     mean = np.append(mean, velocities)
-    sd = np.append(sd, [priors.VELOCITY_SPREAD if v is None else 0.0 for v in measured])
+    sd = np.append(sd, [priors.VELOCITY_SD if v is None else 0.0 for v in measured])
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
     return Parametrisation(mean, sd, lower, upper, log_u, stiffness, geometry, law)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from .intervals import IntervalResult, reported_parameters, unbounded_warnings
 from .map_estimate import Estimate
 from .optimiser import Optimiser
@@ -27,7 +27,7 @@ from .problem import FitProblem
 __all__ = ["DELTA_NLL_95", "profiles"]
 
 # Rise of F at the ends of a 95 % interval: half the square of the normal's quantile.
-DELTA_NLL_95 = NORMAL**2 / 2
+DELTA_NLL_95 = HALF_WIDTH_95**2 / 2
 # Branches at a time: a step of one is mostly a single program on a single core.
 WORKERS = 4
 # Maximum number of values on one side.
@@ -69,13 +69,13 @@ def profiles(problem: FitProblem, estimate: Estimate) -> IntervalResult:
     entries, diagnostics = {}, {}
     lower = dict.fromkeys(names, 0.0)
     for (name, i), low, high in zip(names.items(), branches[::2], branches[1::2], strict=True):
-        ends = np.clip(np.exp([low.end, high.end]), *np.exp(problem.unknowns.range(i)))
+        ends = np.clip(np.exp([low.end, high.end]), *np.exp(problem.parametrisation.range(i)))
         sides = [word for word, branch in (("low", low), ("high", high)) if branch.open]
         entries[name] = {"interval": ends.tolist(), "interval_by": "profile", "interval_open": sides}
         points = sorted([*low.points, *high.points[1:]], key=lambda point: point.log)
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         diagnostics[name] = {"points": rises, "evaluations": len(points)}
-        lower[name] = float(estimate.minima.F.min()) - min(p.F for p in points)
+        lower[name] = float(estimate.minima.nll.min()) - min(p.F for p in points)
     messages = (*_messages(lower), *unbounded_warnings(entries))
     return IntervalResult("profile", entries, messages, {"profile": diagnostics})
 
@@ -93,17 +93,17 @@ class _Profile:
     """F about the best minimum with one value fixed."""
 
     def __init__(self, problem: FitProblem, estimate: Estimate) -> None:
-        self.problem, self.unknowns = problem, problem.unknowns
+        self.problem, self.unknowns = problem, problem.parametrisation
         self.mean, self.covariance = estimate.posterior.mean[0], estimate.posterior.covariance[0]
-        best = estimate.minima.people.take(np.array([0]))
+        best = estimate.minima.candidates.take(np.array([0]))
         self.offset = best.offset
-        at = _Point(0.0, self.mean, best.phi, best.w, float(estimate.minima.F[0]))
+        at = _Point(0.0, self.mean, best.phi, best.w, float(estimate.minima.nll[0]))
         # Minimised as accurately as the branches, or a rise would contain what the search left.
         self.start = self._minimised(problem, at)
 
     def _minimised(self, problem: FitProblem, near: _Point) -> _Point:
         """The minimum of F by the parameters of `problem`, from `near`; infinite if a contact does not end there."""
-        u = problem.unknowns
+        u = problem.parametrisation
         theta = u.project(u.from_log_values(near.logs))
         optimiser = Optimiser(problem)
         candidate = optimiser.initialise(theta[None], near.phi, near.w, self.offset)
@@ -117,7 +117,7 @@ class _Profile:
         unknowns = self.unknowns.fix_parameter(i, log)
         logs = logs.copy()
         logs[i] = log
-        return self._minimised(replace(self.problem, unknowns=unknowns), near._replace(log=log, logs=logs))
+        return self._minimised(replace(self.problem, parametrisation=unknowns), near._replace(log=log, logs=logs))
 
     def normalised_rise(self, point: _Point) -> float:
         """√(rise/target): 1 at the interval's end, linear in the distance where F is quadratic."""

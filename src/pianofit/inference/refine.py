@@ -33,14 +33,14 @@ ITERATIONS = 25
 class Minima(NamedTuple):
     """Minima of F, the one with the largest posterior weight first; [B, ...]."""
 
-    people: Candidates
-    F: np.ndarray  # of all tables and priors
+    candidates: Candidates
+    nll: np.ndarray  # of all tables and priors
     converged: np.ndarray
-    descent: Optimiser
+    optimiser: Optimiser
 
     def take(self, which: np.ndarray) -> Minima:
         """Select some, in this order."""
-        return Minima(self.people.take(which), self.F[which], self.converged[which], self.descent)
+        return Minima(self.candidates.take(which), self.nll[which], self.converged[which], self.optimiser)
 
 
 def refine_minima(problem: FitProblem, candidates: Candidates, fixed: Optimiser, string: Candidates) -> Minima:
@@ -57,7 +57,7 @@ def refine_minima(problem: FitProblem, candidates: Candidates, fixed: Optimiser,
     near = candidates.take(np.array(distinct[:MOST]))
     minima = refine(problem, near.theta, near.phi + string.phi, near.w + string.w)
     # Two distinct starts can end in the same minimum: it counts once.
-    return minima.take(np.array(deduplicate(minima.people, fixed.unknowns, minima.F, WITHIN)))
+    return minima.take(np.array(deduplicate(minima.candidates, fixed.unknowns, minima.nll, WITHIN)))
 
 
 def refine(problem: FitProblem, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:

@@ -15,10 +15,10 @@ import numpy as np
 
 from .. import __version__
 from ..analysis.note_names import midi_to_note
-from ..conversions import NORMAL, hertz_of
+from ..conversions import HALF_WIDTH_95, hertz_of
 from ..errors import ParameterError
 from ..io.number_format import counted
-from ..modal_response_file import ringing_document
+from ..modal_response_file import modal_response_document
 from ..model.decay import decays_and_beats
 from ..model.note import Note
 from ..model.output_path import OutputPath
@@ -28,9 +28,9 @@ from .collect_fits import (
     LOWEST_KEY,
     NAMES,
     KeyFit,
+    is_force,
     key_observables,
     literature,
-    of_force,
     reference_compression,
 )
 from .laws import Law, Prior, fit_law
@@ -95,7 +95,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
 
 def _same_gain(keys: Sequence[KeyFit], own: list[dict], base: dict[str, np.ndarray]) -> np.ndarray:
     """Reference of the gain's law [88]: the mean over the fitted keys, in place of a value from the literature."""
-    mass = base["M_S/L"] * base["L"] if of_force(keys[0].note.quantity) else np.ones(len(KEYS))
+    mass = base["M_S/L"] * base["L"] if is_force(keys[0].note.quantity) else np.ones(len(KEYS))
     log_gains = [math.log(o["gain"] / mass[key.midi - LOWEST_KEY]) for o, key in zip(own, keys, strict=True)]
     return mass * math.exp(np.mean(log_gains))
 
@@ -165,7 +165,7 @@ def _key(
         )
         for n, column in columns.items()
     }
-    string, hammer, geometry, gain = assemble(midi, {n: entry["value"] for n, entry in entries.items()}, quantity)
+    string, hammer, geometry, gain = to_parameters(midi, {n: entry["value"] for n, entry in entries.items()}, quantity)
     if key is None:
         state = "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated"
         path, ringing, fit = paths(midi), NEIGHBOURS, None
@@ -174,7 +174,7 @@ def _key(
             (entry["state"] for n, entry in entries.items() if n not in OWN_VALUE_QUANTITIES), key=KEY_STATES.index
         )
         path = key.note.path
-        ringing = None if key.note.ringing is None else ringing_document(key.note.ringing, whole=True)
+        ringing = None if key.note.ringing is None else modal_response_document(key.note.ringing, whole=True)
         fit = {
             "file": key.file,
             "recordings": key.recordings,
@@ -219,7 +219,7 @@ def _finite(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Hammer, Geometry, float]:
+def to_parameters(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Hammer, Geometry, float]:
     """String, hammer (at 2 m/s), geometry and gain from a key's values by `NAMES`, clipped to `PARAMETERS`."""
     length = at["L"]
     mass = at["M_S/L"] * length
@@ -242,7 +242,7 @@ def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Ha
     # The contact window stays on the string.
     width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
     geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
-    gain = at["gain"] / (mass if of_force(quantity) else 1.0)
+    gain = at["gain"] / (mass if is_force(quantity) else 1.0)
     return String(**_boxed(string)), Hammer(**_boxed(hammer)), geometry, gain
 
 
@@ -257,7 +257,7 @@ def _uses_own_value(key: KeyFit, name: str) -> bool:
 
 def _interval(name: str, y: float, sd: float) -> list[float]:
     """95 % interval."""
-    return _unscale(name, np.array([y - NORMAL * sd, y + NORMAL * sd]))
+    return _unscale(name, np.array([y - HALF_WIDTH_95 * sd, y + HALF_WIDTH_95 * sd]))
 
 
 def _law_document(name: str, column: _Column, base: np.ndarray, keys: Sequence[KeyFit]) -> dict[str, Any]:
@@ -267,8 +267,8 @@ def _law_document(name: str, column: _Column, base: np.ndarray, keys: Sequence[K
         "scale": "linear" if name == "cents" else "log",
         "literature": None if name == "gain" else base.tolist(),
         "value": _unscale(name, centre),
-        "low": _unscale(name, centre - NORMAL * law.sd),
-        "high": _unscale(name, centre + NORMAL * law.sd),
+        "low": _unscale(name, centre - HALF_WIDTH_95 * law.sd),
+        "high": _unscale(name, centre + HALF_WIDTH_95 * law.sd),
         "scatter": law.scatter,
         "length_keys": law.length,
         "outliers": [midi_to_note(key.midi) for key, out in zip(keys, law.outlier, strict=True) if out],

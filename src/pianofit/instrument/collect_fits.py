@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
-from ..conversions import NORMAL, midi_of
+from ..conversions import HALF_WIDTH_95, midi_of
 from ..errors import FitError
-from ..fit_file import note_of, read_fit
-from ..io.files import printable, reference_of
+from ..fit_file import note_from_document, read_fit
+from ..io.files import printable, reference_row
 from ..io.number_format import is_number
 from ..literature import PICKUP, typical
 from ..model.note import Note
@@ -29,7 +29,7 @@ from ..report.identifiability_text import half_interval
 
 __all__ = [
     "HIGHEST_KEY",
-    "LOUDEST",
+    "LOUDEST_VELOCITY",
     "LOWEST_KEY",
     "NAMES",
     "KeyFit",
@@ -38,13 +38,13 @@ __all__ = [
     "key_observables",
     "literature",
     "load_keys",
-    "of_force",
+    "is_force",
     "instrument_name",
 ]
 
 LOWEST_KEY, HIGHEST_KEY = 21, 108
 # Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
-LOUDEST = 4.0
+LOUDEST_VELOCITY = 4.0
 # Names of the laws, in the order of the page. All except `cents` are smooth on a log scale.
 NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
 # Standard deviations (of logarithms; cents for `cents`) of values without an interval: small for given values.
@@ -79,7 +79,7 @@ class KeyFit(NamedTuple):
     layers: tuple[Layer, ...] = ()  # the recordings with file names, soft to loud
 
 
-def of_force(quantity: str) -> bool:
+def is_force(quantity: str) -> bool:
     """True if the recorded quantity is proportional to the string mass."""
     return quantity in ("bridge-force", "pressure")
 
@@ -112,7 +112,7 @@ def key_observables(note: Note, midi: int) -> dict[str, float]:
         "L": g.length,
         "M_S/L": g.mass / g.length,
         "pickup/L": g.pickup / g.length,
-        "gain": abs(note.gain) * (g.mass if of_force(note.quantity) else 1.0),
+        "gain": abs(note.gain) * (g.mass if is_force(note.quantity) else 1.0),
     }
 
 
@@ -193,10 +193,10 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
 
 def _load_key(file: Path) -> KeyFit:
     document, name = read_fit(file), printable(file)
-    note, _ = note_of(document, file)
+    note, _ = note_from_document(document, file)
     midi = _midi(note, file)
     rows = [row for row in document["recordings"] if isinstance(row, dict)]
-    path = reference_of(rows)[1].get("group")
+    path = reference_row(rows)[1].get("group")
     # The note has the output path of the reference recording, and a gain belongs to a path.
     own = [i for i, row in enumerate(rows) if row.get("group") == path]
     loud = max(own, key=lambda i: _positive(rows[i].get("v_H0"), f"recordings[{i}].v_H0", name))
@@ -207,14 +207,14 @@ def _load_key(file: Path) -> KeyFit:
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt hunt-crossley")
     # The law is in log μ, so a felt without loss gets the smallest allowed μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
-    scale = 1.0 if calibrated else LOUDEST / h.v_H0
+    scale = 1.0 if calibrated else LOUDEST_VELOCITY / h.v_H0
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
     levels = document.get("levels")
     error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
     converged = document.get("converged") is True
     sd = _deviations(document, note, midi, converged, scale)
     ringing = None if note.ringing is None else note.ringing.scale_velocity(scale)
-    path = None if note.path is None else note.path._replace(wander=None)  # only predictions use it
+    path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     return KeyFit(
         midi,
         name,
@@ -288,7 +288,7 @@ def _deviations(document: dict, note: Note, midi: int, converged: bool, scale: f
 def _spread(entry: Any) -> float | None:
     """Standard deviation of the logarithm, from an interval."""
     half = half_interval(entry)
-    return None if half is None else half / NORMAL
+    return None if half is None else half / HALF_WIDTH_95
 
 
 def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: int, scale: float) -> float | None:

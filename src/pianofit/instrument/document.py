@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError
-from ..fit_file import read_path
-from ..io.files import load_json, printable, require_finite, short_repr, table_of
+from ..fit_file import read_output_path
+from ..io.files import load_json, printable, require_finite, require_table, short_repr
 from ..io.number_format import is_number
-from ..modal_response_file import read_ringing
+from ..modal_response_file import read_modal_response
 from ..model.modes import QUANTITIES
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -68,7 +68,7 @@ class Instrument(NamedTuple):
         return between, len(unrecorded) - between
 
     @property
-    def lead(self) -> float:
+    def pre_onset_s(self) -> float:
         """Longest time from the begin of a sound to its contact, s."""
         return max(note.pre_onset_s for note in self.notes.values())
 
@@ -124,7 +124,7 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
             raise FitError(f"{name}: keys[{i}].midi={midi} occurs twice; {HINT}")
         notes[midi] = note
     notes |= interpolate_keys(notes, [row["midi"] for row in rows if row.get("ringing") == NEIGHBOURS])
-    velocity = table_of(document, "velocity", name, HINT)
+    velocity = require_table(document, "velocity", name, HINT)
     at_64, rise = (require_finite(velocity.get(key), f"{name}: velocity.{key}", HINT) for key in ("at_64", "rise"))
     box = PARAMETERS["v_H0"]
     if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
@@ -146,7 +146,7 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
         raise FitError(f"{where}.midi={short_repr(midi)} must be a key from {LOWEST_KEY} to {HIGHEST_KEY}")
     parts = {}
     for name, kind in (("string", String), ("hammer", Hammer), ("geometry", Geometry)):
-        table = table_of(row, name, where, HINT)
+        table = require_table(row, name, where, HINT)
         fields = [field for field in kind._fields if field != "v_H0" and field not in kind._field_defaults]
         parts[name] = {field: require_finite(table.get(field), f"{where}.{name}.{field}", HINT) for field in fields}
     try:
@@ -159,8 +159,8 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     gain = require_finite(row.get("gain"), f"{where}.gain", HINT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    path, entry = read_path(row.get("path"), f"{where}.path", HINT), row.get("ringing")
-    ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
+    path, entry = read_output_path(row.get("path"), f"{where}.path", HINT), row.get("ringing")
+    ringing = None if entry == NEIGHBOURS else read_modal_response(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
 
 

@@ -27,7 +27,7 @@ from ..model.free_response import level_energy
 from ..model.modal_response import ModalResponse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
-from .collect_fits import of_force
+from .collect_fits import is_force
 
 __all__ = ["REACH", "interpolate_keys"]
 
@@ -84,7 +84,7 @@ def _string_partials(note: Note) -> _StringPartials:
     beta = np.arange(1, MOST_PARTIALS + 1) * (np.pi / g.length)
     frequency = mode_frequencies(s, g.length, MOST_PARTIALS)
     omega, weight = 2 * np.pi * frequency, raised_cosine_weights(g, MOST_PARTIALS, np)
-    if of_force(note.quantity):  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
+    if is_force(note.quantity):  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
         sign = np.where(np.arange(MOST_PARTIALS) % 2, -1.0, 1.0)
         impulse = sign * 2 * weight * omega / (beta * g.length)
     else:

@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["OUTLYING", "Law", "Prior", "fit_law"]
+__all__ = ["OUTLIER_SD", "Law", "Prior", "fit_law"]
 
 # Standard deviations from the prediction of the other keys beyond which a key is an outlier, and a suspect.
-OUTLYING = 4.0
+OUTLIER_SD = 4.0
 SUSPECT = 3.0
 # Number of neighbours with deviations of one sign that are not suspects.
 RUN = 3
@@ -76,7 +76,7 @@ def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior:
     shape = _most_probable(x[inside], y[inside], sd[inside], prior)
     z = _leave_one_out_z(x, y, sd, inside, shape, prior)
     for _ in range(len(x)):
-        accepted = np.abs(z) <= OUTLYING
+        accepted = np.abs(z) <= OUTLIER_SD
         if len(x) < ENOUGH_KEYS or accepted.sum() < ENOUGH_KEYS or (accepted == inside).all():
             break
         inside = accepted if accepted.sum() > inside.sum() else inside & accepted

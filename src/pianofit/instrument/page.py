@@ -15,8 +15,8 @@ from ..io.number_format import number
 from ..report import html
 from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
-from .collect_fits import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
-from .laws import OUTLYING
+from .collect_fits import HIGHEST_KEY, LOUDEST_VELOCITY, LOWEST_KEY, reference_compression
+from .laws import OUTLIER_SD
 from .text import STATES, TITLES, counts
 from .velocity import hammer_velocity
 
@@ -56,8 +56,8 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
         states=[(state, state_counts[state], words) for state, words in STATES.items() if state_counts[state]],
         figures={name: html.picture(panels) for name, panels in figures.items()},
         rows=[_row(key) for key in document["keys"]],
-        outlying=f"{OUTLYING:g}",
-        loudest=f"{LOUDEST:g}",
+        outlying=f"{OUTLIER_SD:g}",
+        loudest=f"{LOUDEST_VELOCITY:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY),
         u_high=1e3 * reference_compression(HIGHEST_KEY),
     )

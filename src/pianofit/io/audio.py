@@ -42,12 +42,12 @@ class Layout(NamedTuple):
 class _Stream(io.BytesIO):
     """Bytes for a decoder. A seek before their beginning is recorded, because an exception would print a traceback."""
 
-    astray = False
+    seek_before_start = False
 
     def seek(self, offset: int, whence: int = 0) -> int:
         """Seek as in a file, but never before the beginning."""
         origin = (0, self.tell(), self.getbuffer().nbytes)[whence]
-        self.astray |= origin + offset < 0
+        self.seek_before_start |= origin + offset < 0
         return super().seek(max(origin + offset, 0))
 
 
@@ -82,7 +82,7 @@ def _read(data: bytes, with_frames: bool) -> tuple[np.ndarray, Layout]:
             frames = (
                 np.concatenate([*itertools.takewhile(len, blocks)]) if with_frames else np.empty((0, file.channels))
             )
-            if stream.astray:
+            if stream.seek_before_start:
                 raise RecordingError("is damaged: its header points before its beginning; copy or export it again")
             return frames, Layout(file.channels, file.samplerate, file.frames, file.subtype)
     except (soundfile.SoundFileError, ValueError) as problem:

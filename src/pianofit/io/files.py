@@ -25,8 +25,8 @@ from .number_format import LARGEST, is_number
 __all__ = [
     "PEAK_LIMIT",
     "FIT_SCHEMA",
-    "LARGEST_FIT",
-    "MOST_CHANNELS",
+    "MAX_FIT_BYTES",
+    "MAX_CHANNELS",
     "DISK_FULL",
     "array_of",
     "check_sound_target",
@@ -42,11 +42,11 @@ __all__ = [
     "output_folder",
     "read_file",
     "read_text",
-    "reference_of",
+    "reference_row",
     "replace_file",
     "is_increasing",
     "short_repr",
-    "table_of",
+    "require_table",
     "write_error",
     "replace_strings",
     "write_file",
@@ -54,13 +54,13 @@ __all__ = [
 
 # The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
 HIGHEST_RATE = 10_000_000  # Hz
-MOST_CHANNELS = 8
+MAX_CHANNELS = 8
 # Peak of sounds for listening, full scale = 1. -1 dB leaves headroom for players that resample.
 PEAK_LIMIT = 10 ** (-1 / 20)
 # Schema of fit.json.
 FIT_SCHEMA = 4
 # Largest fit.json, bytes.
-LARGEST_FIT = 2**24
+MAX_FIT_BYTES = 2**24
 # Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -121,7 +121,7 @@ def load_json(
         raise error(f"{printable(path)}: not {kind} ({reason}); {hint}") from None
 
 
-def table_of(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
+def require_table(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
     """Return the table `key` of a document, or raise a `FitError`."""
     table = document.get(key)
     if not isinstance(table, dict):
@@ -129,7 +129,7 @@ def table_of(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
     return table
 
 
-def reference_of(rows: Any) -> tuple[int, dict[str, Any]]:
+def reference_row(rows: Any) -> tuple[int, dict[str, Any]]:
     """Return index and row of the reference recording: the marked row, or the first; 0 and {} if none exist."""
     tables = [(i, row) for i, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
     return next((entry for entry in tables if entry[1].get("first") is True), tables[0] if tables else (0, {}))
@@ -316,10 +316,10 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     check_range("rate=", rate, 1, HIGHEST_RATE, " Hz")
     samples = np.asarray(samples)
     rows = np.atleast_2d(samples)
-    if not 1 <= samples.ndim <= 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
+    if not 1 <= samples.ndim <= 2 or len(rows) > MAX_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
         raise ParameterError(
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
-            f"samples] with at most {MOST_CHANNELS} channels; transpose them, or divide integers by full scale"
+            f"samples] with at most {MAX_CHANNELS} channels; transpose them, or divide integers by full scale"
         )
     stream = io.BytesIO()
     wavfile.write(stream, rate, samples.T.astype(np.float32))

@@ -37,7 +37,7 @@ WIDE_INTERVAL = 1e3
 LOWEST_POWER, HIGHEST_POWER = -4, 6
 # Half-width of an interval of a logarithm: per cent up to the first value, a factor up to the second.
 PERCENT_LIMIT, FACTOR_LIMIT = 0.2, 10.0
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def is_number(value: Any) -> bool:
@@ -189,4 +189,4 @@ def _fixed(value: float, power: int, decimals: int) -> str:
 
 
 def _times(power: int) -> str:
-    return f"\u00a0×\u00a010{str(power).translate(RAISED)}" if power else ""
+    return f"\u00a0×\u00a010{str(power).translate(SUPERSCRIPTS)}" if power else ""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..recording.recording import INSIDE, Recording
+from ..recording.recording import MAX_FIRST_SAMPLE, Recording
 
 __all__ = ["CHECKS", "clicks", "clipping", "failures", "onset_in_file", "offset"]
 
@@ -45,8 +45,8 @@ def offset(recording: Recording) -> str | None:
 def onset_in_file(recording: Recording) -> str | None:
     """Files that begin after the onset."""
     share = float(np.abs(recording.samples[0]) / np.abs(recording.samples).max())
-    if share > INSIDE:
-        found = f"the first sample is {share:.3g} of the peak, the limit is {INSIDE:g}"
+    if share > MAX_FIRST_SAMPLE:
+        found = f"the first sample is {share:.3g} of the peak, the limit is {MAX_FIRST_SAMPLE:g}"
         return f"{found}: the file begins inside the note; use a complete recording"
     return None
 

@@ -13,7 +13,7 @@ from typing import Any
 from ..errors import OutputError
 from ..io.files import printable, replace_file
 from ..report.sound import Clip
-from .page import TestSound
+from .page import ListeningSound
 
 __all__ = ["write_experiment"]
 
@@ -25,7 +25,7 @@ PAIR = "Which of the two is the reference?"
 BUFFER = 2048
 
 
-def write_experiment(folder: Path, clips: list[tuple[TestSound, Clip]], reference: str) -> None:
+def write_experiment(folder: Path, clips: list[tuple[ListeningSound, Clip]], reference: str) -> None:
     """Write `configs/pianofit.yaml` and the sounds, to be copied into webMUSHRA.
 
     Parameters

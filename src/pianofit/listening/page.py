@@ -21,7 +21,7 @@ from ..io.files import json_text, replace_file
 from ..report.html import write_page
 from ..report.sound import Clip, make_clips
 
-__all__ = ["ANSWERS", "TestSound", "Question", "write_listening"]
+__all__ = ["ANSWERS", "ListeningSound", "Question", "write_listening"]
 
 # Schema of saved answers and of keys.
 ANSWERS = 2
@@ -30,7 +30,7 @@ MINUTES = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class TestSound:
+class ListeningSound:
     """One sound of the test. Equal samples do not make two sounds equal."""
 
     what: str  # name of the set, hidden until the end
@@ -45,8 +45,8 @@ class Question(NamedTuple):
     `abx`: which sound of the pair is X? X is drawn from the pair for each repetition; `reference` is not used.
     """
 
-    reference: TestSound
-    pair: tuple[TestSound, TestSound]
+    reference: ListeningSound
+    pair: tuple[ListeningSound, ListeningSound]
     times: int = 2
     kind: Literal["abx", "nearer"] = "nearer"
 
@@ -66,12 +66,12 @@ class Trial(NamedTuple):
     """One repetition of a question."""
 
     question: Question
-    reference: TestSound
-    a: TestSound
-    b: TestSound
+    reference: ListeningSound
+    a: ListeningSound
+    b: ListeningSound
 
     @property
-    def hit(self) -> TestSound:
+    def hit(self) -> ListeningSound:
         """The answer that is counted: the reference if it is in the pair, else the first of the pair."""
         return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
 
@@ -79,7 +79,7 @@ class Trial(NamedTuple):
 def write_listening(
     path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
     about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
-) -> list[tuple[TestSound, Clip]]:  # fmt: skip
+) -> list[tuple[ListeningSound, Clip]]:  # fmt: skip
     """Write the page and its key.
 
     Parameters

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import RecordingError
-from ..io.files import LARGEST_FIT, load_json, printable, read_file
+from ..io.files import MAX_FIT_BYTES, load_json, printable, read_file
 from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
 from ..report.save import stroke_names
 
@@ -128,7 +128,7 @@ def _fits_in(side: Path) -> Fits:
 
 def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:
     """Yield hash and fitted sound of each recording of a fit."""
-    document = load_json(file, LARGEST_FIT, "a fit.json", "fit the recordings again")
+    document = load_json(file, MAX_FIT_BYTES, "a fit.json", "fit the recordings again")
     rows = document.get("recordings") if isinstance(document, dict) else None
     rows = [
         row

@@ -17,7 +17,7 @@ from ..io.number_format import counted
 from ..recording.recording import Recording
 from .artefact_checks import failures
 from .mushra import write_experiment
-from .page import Question, TestSound, write_listening
+from .page import ListeningSound, Question, write_listening
 from .pairs import MAX_PAIRS, load_pair, pairs_of
 
 __all__ = ["ListeningSummary", "listening_test"]
@@ -118,7 +118,7 @@ def _check_formats(groups: list[list[Recording]]) -> int:
     return first.rate
 
 
-def _cut_sounds(name: str, labels: list[str], group: list[Recording], seconds: float) -> list[TestSound]:
+def _cut_sounds(name: str, labels: list[str], group: list[Recording], seconds: float) -> list[ListeningSound]:
     """Cut the sounds of a name to their onsets and to one length."""
     rate = group[0].rate
     lead = round(LEAD * rate)
@@ -129,11 +129,11 @@ def _cut_sounds(name: str, labels: list[str], group: list[Recording], seconds: f
         begin = sound.onset - lead
         cut = np.pad(sound.frames[:, max(begin, 0) : begin + size], ((0, 0), (max(-begin, 0), 0)))
         cut[:, : len(fade)] *= fade
-        found.append(TestSound(label, name, cut))
+        found.append(ListeningSound(label, name, cut))
     return found
 
 
-def _conditions(cases: list[list[TestSound]]) -> list[list[Question]]:
+def _conditions(cases: list[list[ListeningSound]]) -> list[list[Question]]:
     """Questions of each condition, one for each name."""
     if len(cases[0]) == 2:
         return [[Question(a, (a, b), kind="abx") for a, b in cases], [Question(a, (a, b)) for a, b in cases]]

@@ -10,13 +10,13 @@ layers that are left out.
 
 from .aligned_layers import AlignedLayers, align_layers
 from .bands import band, kernel_seconds
-from .distance import HEARD, log_mel_distances, mel_edges, mel_power
+from .distance import AUDIBLE_RANGE_DB, log_mel_distances, mel_edges, mel_power
 from .model_selection import fit_modal_response, modal_response_of
 from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
 
 __all__ = [
-    "HEARD",
+    "AUDIBLE_RANGE_DB",
     "AlignedLayers",
     "SharedResponse",
     "PartialModes",

@@ -10,7 +10,7 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
-from ..model.modal_response import PRE_ONSET_S, resampled
+from ..model.modal_response import PRE_ONSET_S, resample
 from ..recording.recording import Recording
 
 __all__ = ["SPAN", "AlignedLayers", "align_layers"]
@@ -42,7 +42,7 @@ def align_layers(recordings: Sequence[Recording], analyses: Sequence[Analysis]) 
     lead, longest_allowed = round(PRE_ONSET_S * rate), round((SPAN + 0.2) * rate)
     layers = []
     for recording, analysis in zip(recordings, analyses, strict=True):
-        x = resampled(recording.frames if keep_channels else recording.samples[None], recording.rate, rate)
+        x = resample(recording.frames if keep_channels else recording.samples[None], recording.rate, rate)
         onset = round(recording.onset * rate / recording.rate)
         x = np.pad(x, ((0, 0), (max(lead - onset, 0), 0)))
         x = x[:, max(onset - lead, 0) :][:, : lead + longest_allowed]

@@ -13,16 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.fft import next_fast_len
 
-__all__ = ["HEARD", "log_mel_distances", "mel_edges", "mel_power"]
+__all__ = ["AUDIBLE_RANGE_DB", "log_mel_distances", "mel_edges", "mel_power"]
 
 # Parts of a note, s from its onset.
-PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
+NOTE_PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
 # Length of each window, s, and its number of mel bands: from the time scale of a knock to the width of a partial.
 WINDOWS = ((0.012, 32), (0.046, 64), (0.186, 128))
 # Time between frames, s.
 HOP = 0.006
 # Cells this far below the loudest one, dB, are taken as inaudible.
-HEARD = 60.0
+AUDIBLE_RANGE_DB = 60.0
 # Exponent of the power in the weight of a cell, approximately that of loudness.
 WEIGHT = 0.3
 # Range of the mel bands, Hz.
@@ -34,13 +34,13 @@ def log_mel_distances(one: np.ndarray, others: Sequence[np.ndarray], rate: float
 
     All sounds are cut to the length of the shortest.
     """
-    size = min(onset + round(PARTS["late"][1] * rate), *map(len, (one, *others)))
-    terms: list[dict[str, list[float]]] = [{name: [] for name in PARTS} for _ in others]
+    size = min(onset + round(NOTE_PARTS["late"][1] * rate), *map(len, (one, *others)))
+    terms: list[dict[str, list[float]]] = [{name: [] for name in NOTE_PARTS} for _ in others]
     for length, bands in WINDOWS:
         n = 2 * round(length * rate / 2)
         time, p = mel_power(one[:size], rate, onset, n, bands)
-        floor = max(p.max(), 1e-30) * 10 ** (-HEARD / 10)
-        within = {name: (time >= start) & (time < stop) for name, (start, stop) in PARTS.items()}
+        floor = max(p.max(), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
+        within = {name: (time >= start) & (time < stop) for name, (start, stop) in NOTE_PARTS.items()}
         for other, parts in zip(others, terms, strict=True):
             gain = np.sum(one[:size] ** 2) / max(np.sum(other[:size] ** 2), 1e-300)
             q = gain * mel_power(other[:size], rate, onset, n, bands)[1]

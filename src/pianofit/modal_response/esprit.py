@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
-__all__ = ["Signals", "amplitudes", "poles_by_subspace", "refined", "standard_errors"]
+__all__ = ["Signals", "fit_amplitudes", "poles_by_subspace", "refine_poles", "standard_errors"]
 
 # Samples of a signal that the subspace and the refinement use. A few poles gain nothing from more.
 SAMPLES_USED = 240
@@ -41,7 +41,7 @@ class Signals(NamedTuple):
     weight: np.ndarray  # inverse standard deviation; 0 after the end of a signal [signals, samples]
     step: float  # s
 
-    def thinned(self) -> Signals:
+    def decimated(self) -> Signals:
         """The same signals, decimated to about `SAMPLES_USED` samples."""
         factor = max(1, self.values.shape[-1] // SAMPLES_USED)
         return Signals(self.values[:, ::factor], self.weight[:, ::factor], self.step * factor)
@@ -65,7 +65,7 @@ def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int]
     scale : scale of each signal [signals]. Its covariance is divided by the square.
     lift : 1/s. Signals are multiplied by exp(lift t), which raises the weight of slowly decaying modes.
     """
-    thin = signals.thinned()
+    thin = signals.decimated()
     columns = max(LEAST_COLUMNS, thin.values.shape[-1] // SAMPLES_A_COLUMN)
     lifted = thin.values * np.exp(lift * thin.time) / scale[:, None]
     usable = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
@@ -109,7 +109,7 @@ def _adjoint(q: np.ndarray) -> np.ndarray:
     return q.conj().swapaxes(-1, -2)
 
 
-def amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
+def fit_amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
     """Amplitudes in every signal at its first sample, by weighted least squares [signals, modes]."""
     v = np.exp(np.outer(signals.time, pole))
     scale = np.linalg.norm(v, axis=0)
@@ -131,12 +131,12 @@ def _residual_and_jacobian(pole: np.ndarray, signals: Signals) -> tuple[float, n
     return float(np.vdot(residual, residual).real), residual, jacobian
 
 
-def refined(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def refine_poles(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Poles within `box` that minimise the residual of all signals.
 
     The weight of a signal does not depend on its length.
     """
-    thin, damping = signals.thinned(), DAMPING
+    thin, damping = signals.decimated(), DAMPING
     cost, residual, jacobian = _residual_and_jacobian(pole, thin)
     for _ in range(STEPS):
         curvature = jacobian.conj().T @ jacobian

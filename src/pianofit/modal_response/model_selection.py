@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..modal_response_file import ringing_document
-from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_of, resampled
+from ..modal_response_file import modal_response_document
+from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse, resample
 from ..result import FittedRecording, Result
 from ..threads import cores, one_blas_thread
 from .aligned_layers import AlignedLayers, align_layers
@@ -74,7 +74,7 @@ def modal_response_of(result: Result) -> ModalResponse | None:
     modes = layers.modes()
     if not modes:
         return None
-    return estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain).ringing
+    return estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain).response
 
 
 def _layers(result: Result) -> _LayerGroup:
@@ -85,7 +85,7 @@ def _layers(result: Result) -> _LayerGroup:
     fitted = [result.recordings[i] for i in place]
     aligned = align_layers([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
     gain = np.array([layer.fitted.note.gain for layer in fitted])
-    forces = [force_of(x.fitted.simulation, float(x.fitted.note.hammer.v_H0)) for x in fitted]
+    forces = [force_pulse(x.fitted.simulation, float(x.fitted.note.hammer.v_H0)) for x in fitted]
     return _LayerGroup(place, fitted, aligned, forces, gain)
 
 
@@ -108,7 +108,7 @@ def _distances(
     others = AlignedLayers(aligned.samples[rest], aligned.before[rest], aligned.rate, aligned.seconds[rest])
     modes = [_of_layers(m, rest) for m in modes]
     without = estimate_shared_response(others, modes, [layers.forces[i] for i in rest], layers.gain[rest])
-    ringing, rate, lead = without.ringing, aligned.rate, round(PRE_ONSET_S * aligned.rate)
+    ringing, rate, lead = without.response, aligned.rate, round(PRE_ONSET_S * aligned.rate)
     count = round(aligned.seconds[out] * rate)
     target = np.concatenate([aligned.before[out], aligned.samples[out]], axis=-1).mean(axis=0)[: lead + count]
     delay = response.delay[out] - float(np.median(response.delay[rest] - without.delay))
@@ -133,7 +133,7 @@ def _of_layers(modes: PartialModes, which: list[int]) -> PartialModes:
 def _render_string_model(layer: FittedRecording, rate: int, lead: int) -> np.ndarray:
     """The layer rendered by the string model alone, from `lead` samples before its onset."""
     recording = layer.recording
-    sound = resampled(layer.fitted.samples, recording.rate, rate)
+    sound = resample(layer.fitted.samples, recording.rate, rate)
     return np.pad(sound, (lead, 0))[round(recording.onset * rate / recording.rate) :]
 
 
@@ -148,12 +148,12 @@ def _attached(
     entry: dict = {"by": model, "left_out_db": distances or None, "layers": rows}
     if model == "law":
         return dataclasses.replace(result, document=result.document | {"ringing": entry})
-    ringing = response.ringing if model == RENDER_MODELS[-1] else response.ringing.without_knock()
+    ringing = response.response if model == RENDER_MODELS[-1] else response.response.without_knock()
     recordings, best = list(result.recordings), list(result.minima_notes[0])
     for place, late in zip(layers.place, response.delay, strict=True):
         best[place] = best[place]._replace(ringing=ringing)
         recordings[place] = recordings[place].ringing_by(ringing, float(late))
-    entry |= ringing_document(ringing)
+    entry |= modal_response_document(ringing)
     return dataclasses.replace(
         result,
         document=result.document | {"ringing": entry},

@@ -18,7 +18,7 @@ from ..analysis import Analysis, law_frequency
 from ..model.modal_response import sum_damped_modes
 from .aligned_layers import AlignedLayers
 from .bands import Band, band, kernel_gain, kernel_seconds
-from .esprit import amplitudes, poles_by_subspace, refined, standard_errors
+from .esprit import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
 from .relative_pitch import relative_pitches, track_offsets
 from .valid_frames import RANGE, ValidFrames, select_valid_frames
 
@@ -33,11 +33,11 @@ LIFTS = (0.0, 0.4, 0.8)
 FAINTEST = -65.0
 # Fastest decay of a mode: a constant, 1/s, or a multiple of the decay rate of a single-mode fit, whichever is larger.
 FASTEST = 30.0
-FASTER = 5.0
+FASTEST_RATIO = 5.0
 # Slowest decay of a mode, 1/s: T60 of two minutes.
 SLOWEST = 0.05
 # Largest signal-to-noise ratio by which a layer is weighted in the common pattern, dB.
-AHEAD = 30.0
+LARGEST_LAYER_SNR = 30.0
 # Largest deviation of a pole's frequency, as a share of the spacing of partials and of the inverse kernel length.
 OF_SPACING = 0.4
 OF_BAND = 0.7
@@ -184,7 +184,7 @@ def _select_order(
     if single is None:
         return None
     decay = -float(single[0].real)
-    fastest = max(FASTEST, FASTER * decay)
+    fastest = max(FASTEST, FASTEST_RATIO * decay)
     box = _box(fastest, 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / kernel))
     starts: dict[int, tuple[float, np.ndarray]] = {}
     for lift in LIFTS[1:] if quick else LIFTS:
@@ -196,7 +196,7 @@ def _select_order(
                 starts[order] = pattern_misfit, pole
     best = None
     for order, (_, start) in starts.items():
-        pole = start if quick else refined(start, valid.signals, box)
+        pole = start if quick else refine_poles(start, valid.signals, box)
         amplitude, own_misfit, pattern_misfit = _score_poles(pole, valid)
         score = _evidence(own_misfit, pattern_misfit, order, valid, kernel)
         # A pole at the fastest decay belongs to the knock and is rejected, except with order 1, which comes first.
@@ -226,7 +226,7 @@ def _score_poles(pole: np.ndarray, valid: ValidFrames) -> tuple[np.ndarray, floa
     The first misfit uses a layer's own amplitudes. The second uses the pattern of the other layers and a complex gain.
     """
     own = np.zeros((*valid.above_noise.shape, len(pole)), complex)
-    own[valid.above_noise] = amplitudes(pole, valid.signals)
+    own[valid.above_noise] = fit_amplitudes(pole, valid.signals)
     layers = np.flatnonzero(valid.above_noise.any(axis=1))
     others = own if len(layers) == 1 else np.zeros_like(own)
     if len(layers) > 1:
@@ -274,7 +274,9 @@ def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray
     amplitude, noise : [..., layers, channels, modes] and [..., layers, channels].
     """
     rows = amplitude.reshape(*amplitude.shape[:-2], -1)
-    weight = 1 / np.maximum(noise.mean(axis=-1), np.linalg.norm(rows, axis=-1) * 10 ** (-AHEAD / 20) + 1e-12)
+    weight = 1 / np.maximum(
+        noise.mean(axis=-1), np.linalg.norm(rows, axis=-1) * 10 ** (-LARGEST_LAYER_SNR / 20) + 1e-12
+    )
     u, s, v = np.linalg.svd(rows * weight[..., None], full_matrices=False)
     pattern = v[..., 0, :].reshape(*amplitude.shape[:-3], *amplitude.shape[-2:])
     return pattern, u[..., 0] * s[..., :1] / weight

@@ -12,10 +12,10 @@ from .bands import band, kernel_seconds
 __all__ = ["track_offsets", "relative_pitches"]
 
 # Number of lowest partials that determine a layer's pitch. Partials below this coherence have almost no weight.
-TUNED = 16
-HALF_COHERENT = 0.5
+PITCH_PARTIALS = 16
+LEAST_PITCH_COHERENCE = 0.5
 # Largest relative detuning of a layer from the last layer that is searched: five cents.
-DETUNED = 3e-3
+LARGEST_DETUNING = 3e-3
 # Largest deviation of a partial from its layer's pitch: a constant, Hz, and a relative part of a third of a cent. A
 # real string does not have one pitch for all partials.
 LARGEST_DEVIATION = 0.03, 2e-4
@@ -24,7 +24,7 @@ STEPS = 60
 # Phases are compared between these times after the onset, s: past the attack and above the noise.
 COMPARED = 0.08, 2.5
 # The offset of a partial is measured only if its phase relative to the loudest layer has this coherence.
-COHERENT = 0.6
+LEAST_COHERENCE = 0.6
 
 
 def relative_pitches(
@@ -35,11 +35,11 @@ def relative_pitches(
     The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent.
     """
     offset, weight = [], []
-    for _, frequency, spacing in partials[:TUNED]:
+    for _, frequency, spacing in partials[:PITCH_PARTIALS]:
         b = band(spectrum, count, layers.rate, frequency, kernel_seconds(spacing))
-        detuning, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), DETUNED * frequency)
+        detuning, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), LARGEST_DETUNING * frequency)
         offset.append(detuning / frequency)
-        weight.append(np.where(coherence > HALF_COHERENT, coherence**2, 1e-9))
+        weight.append(np.where(coherence > LEAST_PITCH_COHERENCE, coherence**2, 1e-9))
     pitch = np.zeros(len(layers.samples))
     for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
         order = np.argsort(x)
@@ -55,7 +55,7 @@ def track_offsets(z: np.ndarray, time: np.ndarray, frequency: float, pitch: np.n
     """
     expected = frequency * pitch
     offset, coherence = _offsets(z, time, expected, LARGEST_DEVIATION[0] + LARGEST_DEVIATION[1] * frequency)
-    return np.where(coherence > COHERENT, offset, expected)
+    return np.where(coherence > LEAST_COHERENCE, offset, expected)
 
 
 def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import signal
 
 from ..model.modal_response import (
-    EDGE,
+    FILTER_REACH,
     PRE_ONSET_S,
     ForcePulse,
     ModalResponse,
@@ -31,34 +31,34 @@ FADE = 1 / 3
 # Modes whose drive lies this far below the largest one, as an amplitude ratio, lie at a zero of the force spectrum.
 # Their measured amplitude does not come from the force, and division by the drive would inflate it. Values from a third
 # to ten times this one give the same result.
-DRIVEN = 0.003
+LEAST_DRIVE = 0.003
 # Floor of the force spectrum relative to its largest value, as an amplitude ratio. Below it, smoothness of the model
 # sets the spectrum. Interfering sound lies equally far below the loudest partial (prior of η in the likelihood).
 # Without a floor the kernel diverges; its exact value does not matter.
 FLOOR = 0.002
 # Largest difference between a layer's onset and its contact, s.
-LATEST = 0.025
+LARGEST_DELAY = 0.025
 # Step of the delay search, s: a tenth of a period of the highest partials.
 DELAY_STEP = 4e-6
 # Weight of the attack's correlation relative to the phases of partials.
-ATTACK = 1.5
+ATTACK_WEIGHT = 1.5
 # Penalty of the largest delay on the same scale: onsets are mostly right.
-FAR = 0.5
+DELAY_PENALTY = 0.5
 # Weight of a layer's partials in levels and delays. It rises from 0 to 1 between these signal-to-noise ratios, dB. It
 # grows with this power of the partial's amplitude in the layer, approximately as loudness does.
 SNR_RAMP = 10.0, 30.0
 LOUDNESS = 0.3
 # Length of the attacks that are correlated, s.
-ALIGNED = 0.08
+ATTACK_SECONDS = 0.08
 # Exponent of the cross-spectrum in the correlation. With 1 a note correlates equally well one period later. With 0
 # noise dominates.
-WHITENED = 0.5
+WHITENING_EXPONENT = 0.5
 
 
 class SharedResponse(NamedTuple):
     """Modal response common to the layers of a key, and the contact time of each."""
 
-    ringing: ModalResponse  # without the layers' gains
+    response: ModalResponse  # without the layers' gains
     delay: np.ndarray  # of its contact after its onset, s [layers]
 
 
@@ -84,7 +84,7 @@ def estimate_shared_response(
     knock = _knock(layers, modes, response, forces, delay, gain)
     per_drive = [a / row[:, None, None] for a, row in zip(at_contact, drive, strict=True)]
     part = _velocity_gain(modes, patterns, per_drive, size, np.array([force.velocity for force in forces]))
-    return SharedResponse(response._replace(knock=knock, participation=part), delay)
+    return SharedResponse(response._replace(knock=knock, velocity_gain=part), delay)
 
 
 def _delays(layers: AlignedLayers, modes: Sequence[PartialModes], drive: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -136,17 +136,17 @@ def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: 
     Phases of partials alone are ambiguous by a period. The correlation of the attacks, half whitened (Knapp and Carter
     1976; Donohue et al. 2007), resolves the ambiguity.
     """
-    trial = np.arange(-LATEST, LATEST, DELAY_STEP)
+    trial = np.arange(-LARGEST_DELAY, LARGEST_DELAY, DELAY_STEP)
     turn = ratio[:, layer] * ratio[:, -1].conj()
     turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
     phases = (np.exp(1j * np.outer(trial, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
-    size = round(ALIGNED * layers.rate)
+    size = round(ATTACK_SECONDS * layers.rate)
     a, b = layers.samples[layer, :, :size], layers.samples[-1, :, :size]
     cross = np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()
-    cross *= np.maximum(np.abs(cross), np.finfo(float).tiny) ** (WHITENED - 1)
+    cross *= np.maximum(np.abs(cross), np.finfo(float).tiny) ** (WHITENING_EXPONENT - 1)
     correlation = np.abs(signal.hilbert(np.roll(np.fft.irfft(cross).sum(axis=0), size)))
     attacks = np.interp(trial * layers.rate + size, np.arange(2 * size), correlation / correlation.max())
-    return float(trial[np.argmax(phases + ATTACK * attacks - FAR * np.abs(trial) / LATEST)])
+    return float(trial[np.argmax(phases + ATTACK_WEIGHT * attacks - DELAY_PENALTY * np.abs(trial) / LARGEST_DELAY)])
 
 
 def _knock(
@@ -184,7 +184,7 @@ def _knock(
         observed = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
         own_modes = response._replace(pole=poles)
         residual = observed - _render_modes(own_modes, own * np.exp(poles * late), force, size, inaudible)
-        spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
+        spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * FILTER_REACH)
         weight = 1 / np.sum(observed**2)
         numerator += weight * spectrum.conj() * np.fft.rfft(residual * fade, count)
         denominator += weight * np.abs(spectrum) ** 2
@@ -204,7 +204,7 @@ def _render_modes(
     The force drives the modes as far as its spectrum permits. The remainder of the amplitude starts at the contact.
     """
     drive = force.drive(response.pole)
-    driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
+    driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (LEAST_DRIVE * np.abs(drive).max()) ** 2)
     lead = round(PRE_ONSET_S * response.rate)
     remainder = sum_damped_modes(response.pole, amplitude - driven * drive, response.rate, size - lead)
     sound = response._replace(pattern=driven, knock=inaudible(driven)).sound(force, response.rate, size)

@@ -18,7 +18,7 @@ from .esprit import Signals
 __all__ = ["RANGE", "ValidFrames", "select_valid_frames"]
 
 # From this time on, s, frames are weighted evenly in the logarithm of time.
-EVEN = 0.1
+LOG_TIME_START = 0.1
 # Frames this far below the band's largest value, dB, are not fitted, even without noise. They also hold the resonance
 # of other strings and the remains of a removed glide.
 RANGE = 48.0
@@ -32,7 +32,7 @@ SHORTEST = 0.1
 # Valid frames begin this time, s, after the kernel has left the onset: the length of the first contact.
 CONTACT = 0.003
 # Valid frames end where the envelope falls below this multiple of the noise amplitude.
-LOST = 2.0
+NOISE_MARGIN = 2.0
 # The noise is measured next to the partial in the end of the recording, from this share of its length on. In a short
 # recording it is measured in the last valid frame.
 NOISE_BEGIN = 0.8
@@ -41,7 +41,7 @@ RMS_OVER_MEDIAN = 1.2
 # The last part of a recording, s, is not used because files are often faded out.
 FADE_OUT = 0.01
 # Least standard deviation in the search for poles, dB relative to the first frame of the signal.
-FINE = 40.0
+LEAST_DEVIATION_DB = 40.0
 # Number of first frames whose maximum is the largest value of the band.
 TOP_FRAMES = 3
 
@@ -83,14 +83,14 @@ def select_valid_frames(b: Band, z: np.ndarray, between: np.ndarray, ends: np.nd
     if not above_noise.any():
         return None
     frame = np.arange(first, stop.max())
-    lost = (envelope[..., frame] < LOST * floor[..., None]) | (frame >= stop[:, None, None])
+    lost = (envelope[..., frame] < NOISE_MARGIN * floor[..., None]) | (frame >= stop[:, None, None])
     length = np.where(lost.any(axis=-1), lost.argmax(axis=-1), len(frame))
     length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[above_noise]
     frame = frame[: length.max()]
     # The square root gives equal ratios of time equal weight.
-    even = np.sqrt((b.time[frame] + EVEN) / (b.time[first] + EVEN))
-    weight = 1 / ((envelope[:, :, frame] + LOST * floor[..., None]) * even)[above_noise]
+    even = np.sqrt((b.time[frame] + LOG_TIME_START) / (b.time[first] + LOG_TIME_START))
+    weight = 1 / ((envelope[:, :, frame] + NOISE_MARGIN * floor[..., None]) * even)[above_noise]
     weight[np.arange(len(frame)) >= length[:, None]] = 0.0
-    scale = np.maximum(floor, envelope[..., first] * 10 ** (-FINE / 20))[above_noise]
+    scale = np.maximum(floor, envelope[..., first] * 10 ** (-LEAST_DEVIATION_DB / 20))[above_noise]
     signals = Signals(z[:, :, frame][above_noise], weight, b.step)
     return ValidFrames(above_noise, signals, scale, first * b.step, floor, snr.max(axis=1))

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..result.velocity_discrepancy import NOTHING, smooth_random_walk
+from ..result.velocity_discrepancy import UNINFORMATIVE_ERROR, smooth_random_walk
 
 __all__ = ["velocity_gain"]
 
@@ -40,7 +40,7 @@ def velocity_gain(
         share.append(power / common_size)
         level.append(np.log(np.where(size > 0, size, common_size) / common_size))
         deviation.append((turn / np.where(size > 0, size, 1.0))[:, None] * projected - share[-1])
-    error = np.where(np.isfinite(error), error, NOTHING)
+    error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
     levels = smooth_random_walk(np.stack(level, axis=1), error, velocity)
     modes = np.array([len(x) for x in share])
     columns = np.concatenate(deviation, axis=1)

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from ..errors import ParameterError
 from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
-from .damped_sums import BLOCK, real_powers, ring
+from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
 from .felt import compression, force, memory_weights, update_relaxation
 from .modes import Modes
 from .x64 import AnyArray, derivative, float64
@@ -50,7 +50,7 @@ class Pulse(NamedTuple):
     compression: Float[Array, " steps"]  # u^n, m; negative when apart
     hammer: Float[Array, "steps 2"]  # y_H, m, and v_H, m/s
     work: Float[Array, ""]  # energy that the contact transferred to the string, J
-    over: Bool[Array, ""]  # proven: the hammer cannot touch the string again
+    contact_ended: Bool[Array, ""]  # proven: the hammer cannot touch the string again
 
     def __repr__(self) -> str:
         return summary(self)
@@ -87,7 +87,7 @@ def impulse_amplitude(modes: Modes) -> Complex[Array, " modes"]:
 @float64
 def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
     """g_n, m/N: the displacement under the hammer n steps after a unit `T`."""
-    return ring(modes.strike * impulse_amplitude(modes), modes.pole * modes.step, steps)
+    return sum_damped_exponentials(modes.strike * impulse_amplitude(modes), modes.pole * modes.step, steps)
 
 
 @float64
@@ -159,7 +159,7 @@ def strike(
     if free is None:
         under, speed, energy = jnp.zeros(steps), 0.0, ()
     else:
-        under = ring(modes.strike * free.amplitude, modes.pole * modes.step, steps)
+        under = sum_damped_exponentials(modes.strike * free.amplitude, modes.pole * modes.step, steps)
         speed, energy = free.speed, (free.energy,)
     drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, speed, rows)
     driven = y_hammer - u - under

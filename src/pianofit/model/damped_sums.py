@@ -13,7 +13,7 @@ from jaxtyping import Array, Complex, Float
 
 from .x64 import AnyArray, derivative, float64
 
-__all__ = ["BLOCK", "real_powers", "ring", "transform"]
+__all__ = ["BLOCK", "real_powers", "sum_damped_exponentials", "z_transform"]
 
 # Steps in a block, here and in the contact.
 BLOCK = 32
@@ -44,7 +44,7 @@ def _ring_jvp(primal, tangent):
 
 
 @float64
-def ring(
+def sum_damped_exponentials(
     amplitude: Complex[AnyArray, " rows"], log_z: Complex[AnyArray, " rows"], steps: int
 ) -> Float[Array, " steps"]:
     """Σ_k Re(A_k z_k^n), n < steps."""
@@ -69,6 +69,6 @@ def _transform_jvp(primal, tangent):
 
 
 @float64
-def transform(signal: Float[AnyArray, " steps"], log_z: Complex[AnyArray, " rows"]) -> Complex[Array, " rows"]:
+def z_transform(signal: Float[AnyArray, " steps"], log_z: Complex[AnyArray, " rows"]) -> Complex[Array, " rows"]:
     """Σ_n s_n z_k^n."""
     return _transform(signal, log_z, jnp.arange(signal.shape[0], dtype=float))

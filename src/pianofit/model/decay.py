@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..conversions import BEAT
+from ..conversions import BEATING_DB
 from .modal_response import ModalResponse
 
 __all__ = ["EARLY", "LATE", "PartialDecay", "decays_and_beats"]
@@ -81,7 +81,7 @@ def _beats(pole: np.ndarray, pattern: np.ndarray) -> tuple[float, float]:
     shape = np.exp(np.outer(pole, time))
     whole = 10 * np.log10(np.maximum(np.sum(np.abs(pattern @ shape) ** 2, axis=0), 1e-300))
     depth = np.ptp((whole - smooth)[smooth > smooth[0] - BEAT_RANGE])
-    if depth < BEAT:
+    if depth < BEATING_DB:
         return np.nan, np.nan
     # Interference of each two modes relative to the energy of all, averaged over time.
     share = np.abs(shape) @ (np.abs(shape) / 10 ** (smooth / 10)).T

@@ -19,7 +19,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
-from .damped_sums import transform
+from .damped_sums import z_transform
 from .modes import Modes
 from .x64 import AnyArray, float64
 
@@ -45,11 +45,11 @@ def mobility(
 ) -> Complex[Array, " bins"]:
     """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or of free motion with modal `amplitude`), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
-    return ringing_transform(residue, modes.pole * modes.step, jnp.log(zeta))
+    return modal_transform(residue, modes.pole * modes.step, jnp.log(zeta))
 
 
 @float64
-def ringing_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
+def modal_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
     """Sum over modes of the transforms of Re(R_k z_k^n) at ζ; the last axis of `residue` and `log_z` is the modes.
 
     The transform of a mode is (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
@@ -97,7 +97,7 @@ def spectrum(
     (2,)
     """
     zeta = damped_circle(frequency, sigma, modes.step)
-    total = transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
+    total = z_transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
     if free is not None:
         total = total + mobility(modes, zeta, free.amplitude)
     return total * modes.step
@@ -108,7 +108,7 @@ def modal_amplitudes(
     modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None
 ) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
-    total = modes.pickup * impulse_amplitude(modes) * transform(drive, _log_growth(modes, len(drive)))
+    total = modes.pickup * impulse_amplitude(modes) * z_transform(drive, _log_growth(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
 
 

@@ -23,28 +23,28 @@ from .output_path import at_velocity
 from .simulate import Simulation
 
 __all__ = [
-    "EDGE",
-    "FAINT",
+    "FILTER_REACH",
+    "AMPLITUDE_FLOOR",
     "PRE_ONSET_S",
     "ForcePulse",
     "VelocityGain",
     "ModalResponse",
-    "force_of",
-    "resampled",
+    "force_pulse",
+    "resample",
     "sum_damped_modes",
     "cancel_static_deflection",
     "z_transform_at_poles",
-    "until_last",
+    "trim_trailing_zeros",
 ]
 
 # The knock may begin this long before the contact, s: onsets are detected a little late.
 PRE_ONSET_S = 0.012
 # Samples before and after a force that a band-limited force extends over: the reach of the resampling filter.
-EDGE = 10
+FILTER_REACH = 10
 # Steps per sample to which a force is interpolated if its own step does not divide a sample.
 INTERPOLATION_STEPS = 8
 # Modes below this fraction of the largest initial amplitude are left out: -160 dB.
-FAINT = 1e-8
+AMPLITUDE_FLOOR = 1e-8
 # Blocks computed between two checks of which modes still sound.
 BLOCKS_PER_CHECK = 32
 # Samples of a block: more would not fit into a processor cache.
@@ -60,7 +60,7 @@ MAX_DECAY_EXPONENT = 35.0
 class ForcePulse(NamedTuple):
     """Force of a stroke from the first touch on."""
 
-    newton: np.ndarray  # [steps]
+    force: np.ndarray  # [steps]
     step: float  # s
     velocity: float  # hammer velocity, m/s
 
@@ -69,30 +69,30 @@ class ForcePulse(NamedTuple):
 
     def drive(self, pole: np.ndarray) -> np.ndarray:
         """∫ F e^{-pole t} dt, N s, complex [modes]: the excitation of the modes."""
-        return np.exp(-np.outer(pole, self.step * np.arange(len(self.newton)))) @ self.newton * self.step
+        return np.exp(-np.outer(pole, self.step * np.arange(len(self.force)))) @ self.force * self.step
 
     def samples(self, rate: int) -> int:
         """Duration in whole samples at `rate`, Hz."""
-        return max(int(np.ceil(len(self.newton) * self.step * rate - 1e-6)), 1)
+        return max(int(np.ceil(len(self.force) * self.step * rate - 1e-6)), 1)
 
     def at(self, rate: int) -> np.ndarray:
         """Band-limited impulse per sample at `rate`, N s [samples], from `EDGE` samples before the touch."""
         ratio = round(1 / (self.step * rate))
         if ratio < 1 or abs(ratio * self.step * rate - 1) > 1e-6:
             step = 1 / (INTERPOLATION_STEPS * rate)
-            fine = np.arange(0, len(self.newton) * self.step, step)
-            newton = np.interp(fine, self.step * np.arange(len(self.newton)), self.newton)
+            fine = np.arange(0, len(self.force) * self.step, step)
+            newton = np.interp(fine, self.step * np.arange(len(self.force)), self.force)
             return ForcePulse(newton, step, self.velocity).at(rate)
-        edge = EDGE * ratio
-        return resample_poly(np.pad(self.newton, (edge, edge)), 1, ratio) / rate
+        edge = FILTER_REACH * ratio
+        return resample_poly(np.pad(self.force, (edge, edge)), 1, ratio) / rate
 
 
-def force_of(stroke: Simulation, velocity: float) -> ForcePulse:
+def force_pulse(stroke: Simulation, velocity: float) -> ForcePulse:
     """Return the force of a simulated stroke with this hammer velocity, m/s."""
-    return ForcePulse(until_last(np.asarray(stroke.pulse.force)), float(stroke.modes.step), velocity)
+    return ForcePulse(trim_trailing_zeros(np.asarray(stroke.pulse.force)), float(stroke.modes.step), velocity)
 
 
-def until_last(pulse: np.ndarray) -> np.ndarray:
+def trim_trailing_zeros(pulse: np.ndarray) -> np.ndarray:
     """Return a pulse [steps] without the zeros at its end."""
     return pulse[: np.flatnonzero(pulse)[-1] + 1] if pulse.any() else pulse[:1]
 
@@ -124,7 +124,7 @@ class ModalResponse(NamedTuple):
     pattern: np.ndarray  # P, file units per N s, complex [channels, modes]
     knock: np.ndarray  # file units per N s [channels, samples], from `PRE_ONSET_S` before the contact; can be empty
     rate: int  # of the knock, Hz
-    participation: VelocityGain | None = None  # velocity gain a; None is 1
+    velocity_gain: VelocityGain | None = None  # velocity gain a; None is 1
 
     def __repr__(self) -> str:
         return summary(self)
@@ -144,8 +144,8 @@ class ModalResponse(NamedTuple):
 
     def scale_velocity(self, ratio: float) -> ModalResponse:
         """Return the response with all velocities times `ratio`, for another velocity scale."""
-        part = self.participation
-        return self if part is None else self._replace(participation=part.scale_velocity(ratio))
+        part = self.velocity_gain
+        return self if part is None else self._replace(velocity_gain=part.scale_velocity(ratio))
 
     def without_knock(self) -> ModalResponse:
         """Return the response with an empty knock."""
@@ -157,8 +157,8 @@ class ModalResponse(NamedTuple):
         columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
         knock = self.knock
         if knock.shape[-1]:
-            knock = resampled(knock, self.rate, rate)
-        part = self.participation
+            knock = resample(knock, self.rate, rate)
+        part = self.velocity_gain
         part = None if part is None else part._replace(factor=part.factor[:, below])
         return ModalResponse(*columns, knock, rate, part)
 
@@ -168,7 +168,7 @@ class ModalResponse(NamedTuple):
         The knock cancels the static deflection of the modes at a velocity gain of 1. At another gain this deflection
         changes, so its cancellation is corrected here.
         """
-        lead, part = round(PRE_ONSET_S * self.rate), self.participation
+        lead, part = round(PRE_ONSET_S * self.rate), self.velocity_gain
         if part is None or self.knock.shape[-1] <= lead:
             return self.knock
         excess = self.pattern * (part.factor[:, None] - 1)
@@ -192,18 +192,25 @@ class ModalResponse(NamedTuple):
         """
         rate, lead = self.rate, round(PRE_ONSET_S * self.rate)
         pulse = force.at(rate)
-        size = max(len(pulse), end + EDGE)
-        log_z, remaining = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the end of the pulse to `end`
-        part = 1.0 if self.participation is None else self.participation.at(force.velocity)
+        size = max(len(pulse), end + FILTER_REACH)
+        log_z, remaining = (
+            self.pole / rate,
+            end + FILTER_REACH - (len(pulse) - 1),
+        )  # samples from the end of the pulse to `end`
+        part = 1.0 if self.velocity_gain is None else self.velocity_gain.at(force.velocity)
         state = part * np.exp(log_z * remaining) * z_transform_at_poles(log_z, pulse[::-1])
-        onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
-        head = onset[:, lead - EDGE : lead - EDGE + size]
+        onset = np.zeros(
+            (self.channels, max(lead - FILTER_REACH + size, self.knock.shape[-1] + len(pulse) - 1 - FILTER_REACH))
+        )
+        head = onset[:, lead - FILTER_REACH : lead - FILTER_REACH + size]
         driven = sum_damped_modes(self.pole, self.pattern * part, rate, size)
         head += oaconvolve(driven, pulse[None], axes=-1)[:, :size]
         # A band-limited force extends past `end`, where the free decay is added separately.
-        head[:, end + EDGE :] -= sum_damped_modes(self.pole, self.pattern * state, rate, size - end - EDGE)
+        head[:, end + FILTER_REACH :] -= sum_damped_modes(
+            self.pole, self.pattern * state, rate, size - end - FILTER_REACH
+        )
         if self.knock.shape[-1]:
-            knock = oaconvolve(self.attack_noise(force.velocity), pulse[None], axes=-1)[:, EDGE:]
+            knock = oaconvolve(self.attack_noise(force.velocity), pulse[None], axes=-1)[:, FILTER_REACH:]
             onset[:, : knock.shape[-1]] += knock
         return state, onset
 
@@ -221,7 +228,7 @@ class ModalResponse(NamedTuple):
         return out
 
 
-def resampled(x: np.ndarray, old: int, new: int) -> np.ndarray:
+def resample(x: np.ndarray, old: int, new: int) -> np.ndarray:
     """Resample a sound [..., samples] from the rate `old` to the rate `new`, Hz."""
     divisor = math.gcd(old, new)
     return x if new == old else resample_poly(x, new // divisor, old // divisor, axis=-1)
@@ -245,7 +252,7 @@ def sum_damped_modes(
     block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
     blocks = min(-(-count // block), BLOCKS_PER_CHECK)
     if audibility_threshold is None:
-        audibility_threshold = np.full(len(pole), FAINT * np.abs(amplitude).max())
+        audibility_threshold = np.full(len(pole), AMPLITUDE_FLOOR * np.abs(amplitude).max())
     within = _powers_within_block(np.asarray(pole / rate, complex).tobytes())
     begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks + 1], the last for the next chunk
     for first in range(0, count, blocks * block):

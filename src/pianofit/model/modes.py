@@ -31,7 +31,7 @@ __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "
 QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
 
 # A mode at or above this fraction of the contact rate has weight zero: prewarping would distort it too much.
-HIGHEST = 0.4
+MAX_RELATIVE_FREQUENCY = 0.4
 # With α = b1 + b2 β² a high mode could be overdamped. Such a mode is inaudible, and its α/ω is limited to this.
 MAX_DAMPING_RATIO = 0.9
 
@@ -191,7 +191,7 @@ def mode_table(
     omega2 = string.c**2 * eigen + string.kappa**2 * eigen**2
     alpha = jnp.minimum(string.b1 + string.b2 * eigen, MAX_DAMPING_RATIO * jnp.sqrt(omega2))
     if kind == "continuous":
-        weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * HIGHEST, weights, 0.0)
+        weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * MAX_RELATIVE_FREQUENCY, weights, 0.0)
     pickup, of_displacement = _pickup(string, geometry, beta, quantity)
     return _rows(omega2, alpha, weights, pickup, of_displacement, geometry.mass, step, prewarp=kind == "continuous")
 
@@ -220,7 +220,7 @@ def _rows(omega2, alpha, weights, pickup_weights, reads_displacement: bool, mass
     pole = -alpha + 1j * jnp.sqrt(omega2 - alpha**2)
     if prewarp:
         # Rows above HIGHEST have weight zero; the limit keeps their tangent finite.
-        limit = HIGHEST * jnp.pi
+        limit = MAX_RELATIVE_FREQUENCY * jnp.pi
         angle = jnp.minimum(jnp.sqrt(omega2) * a, limit)
         warped = jnp.tanh(pole * (a * angle / (jnp.sqrt(omega2) * a))) / a
         tilde2, alpha_tilde = jnp.abs(warped) ** 2, -warped.real

@@ -18,21 +18,21 @@ from ..parameters import Geometry, Hammer, String, check_velocity
 from .arguments import is_numeric
 from .contact import strike
 from .free_response import level_db, modal_amplitudes
-from .modal_response import PRE_ONSET_S, ModalResponse, force_of
+from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
-from .output_path import OutputPath, apply_to_modes, filtered, impulse
-from .simulate import MOST_MODES, Simulation, contact_rate, count_modes, simulate
+from .output_path import OutputPath, apply_filter, apply_to_modes, impulse_response
+from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
 from .x64 import float64
 
-__all__ = ["MOST_SAMPLES", "MOST_SECONDS", "Note", "arrival", "check_render"]
+__all__ = ["MAX_SAMPLES", "MAX_SECONDS", "Note", "arrival", "check_render"]
 
-MOST_SECONDS = 600.0
+MAX_SECONDS = 600.0
 # More samples would not fit into the memory of an ordinary machine.
-MOST_SAMPLES = 2**25
+MAX_SAMPLES = 2**25
 # Signal rate for which `Note.levels` chooses the contact rate, Hz.
 LEVEL_RATE = 44_100.0
 # All velocities get the steps of the slowest contact (at most this velocity, m/s) times a factor, in whole blocks.
-SLOWEST = 0.05
+SLOWEST_LEVEL_VELOCITY = 0.05
 STEPS_MARGIN = 1.3
 BLOCK = 256
 
@@ -144,7 +144,7 @@ class Note(NamedTuple):
         begin = touch - round(self.pre_onset_s * rate)
         count = max(samples - begin, 0)
         sound = self._render_string_model(strike, rate, count)[None] if self.ringing is None else (
-            self.gain * self.ringing.sound(force_of(strike, float(self.hammer.v_H0)), round(rate), count)
+            self.gain * self.ringing.sound(force_pulse(strike, float(self.hammer.v_H0)), round(rate), count)
         )  # fmt: skip
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 
@@ -153,7 +153,7 @@ class Note(NamedTuple):
         path, pole = apply_to_modes(self.path, np.asarray(strike.modes.pole))
         modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
         sound = strike._replace(modes=modes).waveform(rate, count)
-        return filtered(sound, impulse(path, rate))[:count]
+        return apply_filter(sound, impulse_response(path, rate))[:count]
 
     def frequencies(self, count: int) -> np.ndarray:
         """Frequencies of the first partials by the string model, Hz [partials]; measured ones differ slightly."""
@@ -178,10 +178,10 @@ class Note(NamedTuple):
         g, v = self.geometry, np.asarray(velocity, float)
         if not (v.size and np.isfinite(v).all() and v.min() > 0):
             raise ParameterError(f"velocity={velocity} m/s must be above 0")
-        check_range("count=", count, 1, MOST_MODES)
+        check_range("count=", count, 1, MAX_MODES)
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
-        slow = self.with_velocity(min(SLOWEST, float(v.min()))).strike(LEVEL_RATE)
+        slow = self.with_velocity(min(SLOWEST_LEVEL_VELOCITY, float(v.min()))).strike(LEVEL_RATE)
         steps = BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
         delay = arrival(self.string, g, self.quantity)
         level = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
@@ -225,9 +225,9 @@ def check_render(velocity: float | None, seconds: float, rate: int) -> None:
         The message names the argument, its value and its range.
     """
     check_velocity(velocity)
-    check_range("seconds=", seconds, 0.01, MOST_SECONDS)
+    check_range("seconds=", seconds, 0.01, MAX_SECONDS)
     check_range("rate=", rate, *RATES, " Hz")
-    if seconds * rate > MOST_SAMPLES:
+    if seconds * rate > MAX_SAMPLES:
         raise ParameterError(
-            f"seconds={seconds} at rate={rate} Hz is too long; ask for {MOST_SAMPLES // rate} s or less"
+            f"seconds={seconds} at rate={rate} Hz is too long; ask for {MAX_SAMPLES // rate} s or less"
         )

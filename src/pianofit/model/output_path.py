@@ -15,10 +15,18 @@ from scipy.signal import oaconvolve
 from ..io.number_format import summary
 from .free_response import level_energy
 
-__all__ = ["SAME_PARTIAL", "OutputPath", "VelocityDiscrepancy", "at_velocity", "filtered", "impulse", "apply_to_modes"]
+__all__ = [
+    "SAME_PARTIAL_TOLERANCE",
+    "OutputPath",
+    "VelocityDiscrepancy",
+    "at_velocity",
+    "apply_filter",
+    "impulse_response",
+    "apply_to_modes",
+]
 
 # Largest relative difference of frequencies of the same partial: the pitch of recordings differs by cents.
-SAME_PARTIAL = 0.005
+SAME_PARTIAL_TOLERANCE = 0.005
 # Shortest duration of the computed impulse response, s; its first half is kept. It spans several periods of the lowest
 # note, since neighbouring partials may differ in level.
 MIN_RESPONSE_S = 1.0
@@ -43,7 +51,7 @@ class OutputPath(NamedTuple):
     frequency: np.ndarray
     db: np.ndarray
     decay: np.ndarray | None = None  # decay rate of each partial over that of the string model
-    wander: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
+    velocity_discrepancy: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
 
     def __repr__(self) -> str:
         return summary(self)
@@ -66,15 +74,19 @@ class OutputPath(NamedTuple):
 
         It is interpolated by `at_velocity`, and zero at frequencies that are not partials.
         """
-        if self.wander is None:
+        if self.velocity_discrepancy is None:
             return np.zeros((len(velocity), len(frequency)))
         nearest, is_same = self._nearest(frequency)
-        return np.where(is_same, at_velocity(self.wander.velocity, self.wander.db[:, nearest], velocity), 0.0)
+        return np.where(
+            is_same,
+            at_velocity(self.velocity_discrepancy.velocity, self.velocity_discrepancy.db[:, nearest], velocity),
+            0.0,
+        )
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Index of the nearest given partial for each `frequency`, and whether it is the same partial."""
         nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
-        return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
+        return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL_TOLERANCE
 
 
 def at_velocity(stroke_velocity: np.ndarray, rows: np.ndarray, velocity: Any) -> np.ndarray:
@@ -103,7 +115,7 @@ def apply_to_modes(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPat
     return OutputPath(frequency, path.at(frequency) + correction), -decay + 1j * np.imag(pole)
 
 
-def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
+def impulse_response(path: OutputPath | None, rate: float) -> np.ndarray | None:
     """Return the minimum-phase impulse response of a path [samples] at `rate`, Hz.
 
     Levels do not determine phases, but a path is causal. During contact modes follow the hammer far below their own
@@ -124,6 +136,6 @@ def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
     return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), size)[: size // 2]
 
 
-def filtered(sound: np.ndarray, response: np.ndarray | None) -> np.ndarray:
+def apply_filter(sound: np.ndarray, response: np.ndarray | None) -> np.ndarray:
     """Filter a sound [samples] and append the decay of the filter; without a filter return it unchanged."""
     return sound if response is None or not len(sound) else oaconvolve(sound, response)

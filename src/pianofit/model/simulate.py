@@ -15,7 +15,7 @@ from ..io.number_format import summary
 from ..parameters import Geometry, String, check
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .free_response import waveform
-from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
+from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .x64 import float64
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
@@ -26,9 +26,9 @@ MAX_CONTACT_RATE = 6_000_000.0
 # At least this many modes, or all with a strike weight above -60 dB, lie below 0.4 of the rate (design §2).
 SUFFICIENT_MODES = 30
 WEAK_STRIKE = 1e-3
-MOST_MODES = 512
+MAX_MODES = 512
 # Longer contacts are computed again with four times the steps.
-FIRST_STEPS, MOST_STEPS = 1024, 2**16
+FIRST_STEPS, MAX_STEPS = 1024, 2**16
 
 
 class Contact(NamedTuple):
@@ -95,11 +95,11 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
     ParameterError
         If the string is so short or stiff that the rate would exceed 6 MHz.
     """
-    n = MOST_MODES
+    n = MAX_MODES
     frequencies = mode_frequencies(string, geometry.length, n)
     driven = np.flatnonzero(np.abs(raised_cosine_weights(geometry, n, np)) > WEAK_STRIKE)
     needed = min(SUFFICIENT_MODES, driven[-1] + 1 if driven.size else SUFFICIENT_MODES)
-    least_rate = max(MIN_CONTACT_RATE, 1.01 * frequencies[needed - 1] / HIGHEST)
+    least_rate = max(MIN_CONTACT_RATE, 1.01 * frequencies[needed - 1] / MAX_RELATIVE_FREQUENCY)
     if least_rate > MAX_CONTACT_RATE:
         raise ParameterError(
             f"c={float(string.c):g} m/s and kappa={float(string.kappa):g} m²/s on {float(geometry.length):g} m put "
@@ -110,9 +110,9 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
 
 def count_modes(string: String, geometry: Geometry, rate: float) -> int:
     """Rows of the table: all modes below 0.4 of the contact rate, in multiples of 64 so that programs are shared."""
-    frequencies = mode_frequencies(string, geometry.length, MOST_MODES)
-    below = int((frequencies < HIGHEST * rate).sum())
-    return min(MOST_MODES, 64 * -(-below // 64))
+    frequencies = mode_frequencies(string, geometry.length, MAX_MODES)
+    below = int((frequencies < MAX_RELATIVE_FREQUENCY * rate).sum())
+    return min(MAX_MODES, 64 * -(-below // 64))
 
 
 @partial(jax.jit, static_argnames=("n_modes", "steps", "quantity", "kind"))
@@ -191,17 +191,17 @@ def simulate(
     if displacement is not None or velocity is not None:
         start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
     steps = FIRST_STEPS
-    while steps <= MOST_STEPS:
+    while steps <= MAX_STEPS:
         modes, pulse, free = _strike(
             string, hammer, geometry, step_rate, strike_weights, start,
             n_modes=rows, steps=steps, quantity=quantity, kind=kind,
         )  # fmt: skip
-        if bool(pulse.over):
+        if bool(pulse.contact_ended):
             return Simulation(*jax.tree.map(np.asarray, (modes, pulse, free)))
         steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
-        f"{MOST_STEPS / step_rate:.3g} s; use a lighter or faster hammer"
+        f"{MAX_STEPS / step_rate:.3g} s; use a lighter or faster hammer"
     )
 
 

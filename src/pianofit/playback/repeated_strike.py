@@ -15,15 +15,15 @@ from ..errors import FitError, ParameterError
 from ..felt import RelaxingHammer, is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
 from ..model.damped_sums import BLOCK, real_powers
-from ..model.modal_response import FAINT, ForcePulse, until_last
-from ..model.modes import HIGHEST, Modes, mode_table
+from ..model.modal_response import AMPLITUDE_FLOOR, ForcePulse, trim_trailing_zeros
+from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note
-from ..model.output_path import apply_to_modes, impulse
+from ..model.output_path import apply_to_modes, impulse_response
 from ..model.program_cache import persistent_jit
-from ..model.simulate import MOST_STEPS, contact_rate, count_modes
+from ..model.simulate import MAX_STEPS, contact_rate, count_modes
 from ..parameters import Hammer
 
-__all__ = ["StringTables", "stroke", "table_of"]
+__all__ = ["StringTables", "strike_string", "string_tables"]
 
 LEAST_MODES = 64
 # First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MOST_STEPS`.
@@ -57,7 +57,7 @@ def _stroke(modes, hammer, displacement, velocity, powers, cfg):
     return strike_moving_string(modes, hammer, displacement, velocity, powers, steps)
 
 
-def table_of(note: Note, rate: float) -> StringTables:
+def string_tables(note: Note, rate: float) -> StringTables:
     """Tables of the string of `note` for signals at `rate`, Hz, with its gain and output path."""
     contact = contact_rate(note.string, note.geometry, rate)
     rows = LEAST_MODES
@@ -73,17 +73,25 @@ def table_of(note: Note, rate: float) -> StringTables:
     size, omega = np.abs(string_pole), np.imag(string_pole)
     path, pole = apply_to_modes(note.path, string_pole)
     # Ratio of physical to numerical displacement, see `modes`.
-    angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
+    angle = np.minimum(0.5 * size / contact, MAX_RELATIVE_FREQUENCY * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
     gain = np.where(omega < np.pi * rate, note.gain, 0.0)
     pickup = gain * modes.free_pickup
-    faint = np.full(len(string_pole), FAINT) if path is None else FAINT * 10 ** (-path.db / 20)
+    faint = np.full(len(string_pole), AMPLITUDE_FLOOR) if path is None else AMPLITUDE_FLOOR * 10 ** (-path.db / 20)
     return StringTables(
-        modes, (re, im), pole, contact, unit * warp, gain * modes.pickup * unit, pickup, faint, impulse(path, rate)
+        modes,
+        (re, im),
+        pole,
+        contact,
+        unit * warp,
+        gain * modes.pickup * unit,
+        pickup,
+        faint,
+        impulse_response(path, rate),
     )
 
 
-def stroke(
+def strike_string(
     table: StringTables, hammer: Hammer | RelaxingHammer, state: np.ndarray, where: str
 ) -> tuple[np.ndarray, ForcePulse]:
     """Strike a string that moves as q = Re(state · exp(p t)), state complex [modes]; return T [steps] and the force.
@@ -96,13 +104,13 @@ def stroke(
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS
-    while steps <= MOST_STEPS:
+    while steps <= MAX_STEPS:
         drive, newton, has_ended = _stroke(table.modes, hammer, np.real(state), velocity, table.powers, (steps,))
         if bool(has_ended):
-            force = ForcePulse(until_last(np.asarray(newton)), 1 / table.rate, float(hammer.v_H0))
-            return until_last(np.asarray(drive)), force
+            force = ForcePulse(trim_trailing_zeros(np.asarray(newton)), 1 / table.rate, float(hammer.v_H0))
+            return trim_trailing_zeros(np.asarray(drive)), force
         steps *= 16
     raise FitError(
         f"{where}: at v_H0={float(hammer.v_H0):g} m/s the hammer is still on the string after "
-        f"{MOST_STEPS / table.rate:.3g} s; check this key's M_H and K_H"
+        f"{MAX_STEPS / table.rate:.3g} s; check this key's M_H and K_H"
     )

@@ -15,7 +15,7 @@ from ..errors import ParameterError, check_range
 from ..instrument.document import Instrument
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT
-from ..model.note import MOST_SAMPLES
+from ..model.note import MAX_SAMPLES
 from ..threads import one_blas_thread
 from .midi import Song
 from .voice import StringVoice
@@ -60,12 +60,12 @@ def render_song(
     Raises `ParameterError` for a rate out of range, a song that is too long, or a key that the instrument lacks.
     """
     check_range("rate=", rate, *RATES, " Hz")
-    lead = round(instrument.lead * rate)
+    lead = round(instrument.pre_onset_s * rate)
     size = int((song.seconds + LAST_RING) * rate) + lead
-    if size > MOST_SAMPLES:
+    if size > MAX_SAMPLES:
         raise ParameterError(
             f"{song.seconds:.0f} s at rate={rate} Hz is too long; cut the song to "
-            f"{MOST_SAMPLES / rate - LAST_RING:.0f} s, or ask for a lower --rate"
+            f"{MAX_SAMPLES / rate - LAST_RING:.0f} s, or ask for a lower --rate"
         )
     for key in song.keys:
         instrument.note(key, 64)  # reject a missing key before the computation starts

@@ -15,10 +15,10 @@ import math
 
 import numpy as np
 
-from ..model.modal_response import FAINT, ForcePulse, sum_damped_modes, z_transform_at_poles
+from ..model.modal_response import AMPLITUDE_FLOOR, ForcePulse, sum_damped_modes, z_transform_at_poles
 from ..model.note import Note
-from ..model.output_path import filtered
-from .repeated_strike import StringTables, stroke, table_of
+from ..model.output_path import apply_filter
+from .repeated_strike import StringTables, strike_string, string_tables
 
 __all__ = ["CHANNELS", "KNOCK_RATES", "LAST_DAMPER", "StringVoice", "damper_rate"]
 
@@ -78,13 +78,13 @@ class StringVoice:
     def __init__(self, note: Note, midi: int, rate: int) -> None:
         self.note, self.midi, self.rate = note, midi, rate
         # With a measured modal response the string itself is inaudible, so the output path is not needed.
-        self.table: StringTables = table_of(note if note.ringing is None else note._replace(path=None), rate)
+        self.table: StringTables = string_tables(note if note.ringing is None else note._replace(path=None), rate)
         self.ratio = round(self.table.rate / rate)
         self.string = ModeBank(self.table.pole, self.table.pickup[None], self.table.faint, rate)
         self.ringing, self.modes = None, self.string
         if note.ringing is not None:
             self.ringing = note.ringing.scale_gain(note.gain).at(rate)
-            faint = np.full(len(self.ringing.pole), FAINT)
+            faint = np.full(len(self.ringing.pole), AMPLITUDE_FLOOR)
             self.modes = ModeBank(self.ringing.pole, self.ringing.pattern, faint, rate)
         self.lead = round(note.pre_onset_s * rate)
         self.damped = False
@@ -105,7 +105,7 @@ class StringVoice:
         Afterwards the string is undamped.
         """
         hammer = self.note.hammer._replace(v_H0=velocity)
-        drive, force = stroke(self.table, hammer, self.string.state, f"key {self.midi}")
+        drive, force = strike_string(self.table, hammer, self.string.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
@@ -123,12 +123,12 @@ class StringVoice:
 
     def through_path(self, sound: np.ndarray) -> np.ndarray:
         """Filter a sound of this string [channels, samples] by its output path, if any, with the filter's tail."""
-        return sound if self.ringing is not None else filtered(sound[0], self.table.path)[None]
+        return sound if self.ringing is not None else apply_filter(sound[0], self.table.path)[None]
 
     @property
     def is_audible(self) -> bool:
         """True while the modes or the pending output are audible."""
-        return self.modes.is_audible or bool((np.abs(self._pending) > FAINT).any())
+        return self.modes.is_audible or bool((np.abs(self._pending) > AMPLITUDE_FLOOR).any())
 
     @property
     def in_motion(self) -> bool:
@@ -150,7 +150,7 @@ class StringVoice:
     def _onset(self, drive: np.ndarray, force: ForcePulse, samples: int) -> np.ndarray:
         """Sound of a stroke in addition to the free modes after it, from `lead` samples before the contact on."""
         if self.ringing is None:
-            return filtered(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
+            return apply_filter(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
         state, onset = self.ringing.strike_response(force, samples)
         self.modes.state = self.modes.state + state
         return onset

@@ -22,7 +22,7 @@ from .noise import noise_rms, offset
 from .onset import find_sounds
 
 __all__ = [
-    "INSIDE",
+    "MAX_FIRST_SAMPLE",
     "Recording",
     "Source",
     "to_recording",
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 MAX_BYTES = 2**30
-INSIDE = 0.05  # first sample over the peak, above which the file begins inside the note, with a step
+MAX_FIRST_SAMPLE = 0.05  # first sample over the peak, above which the file begins inside the note, with a step
 MIN_SECONDS = 0.08  # after the onset; two periods of the lowest key
 REPORTED_SILENCE = 0.1  # s; longer digital silence at the end of a file is reported
 
@@ -192,7 +192,7 @@ def _measure(used: np.ndarray, rate: int, step: float, **info) -> Recording:
     if earlier:
         before = (onset - earlier[0]) / rate
         warnings += (f"a sound {before:.2f} s before the note is not analysed; if it is the note, cut the file there",)
-    if onset == 0 and abs(samples[0]) > INSIDE * np.abs(samples).max():
+    if onset == 0 and abs(samples[0]) > MAX_FIRST_SAMPLE * np.abs(samples).max():
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if silence > REPORTED_SILENCE * rate:
         warnings += (f"{silence / rate:.2f} s of digital silence at the end were removed",)

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..analysis import law_frequency
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..io.files import reference_of
-from ..modal_response import HEARD, band, kernel_seconds, mel_edges, mel_power
+from ..io.files import reference_row
+from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
 from ..model import Simulation, static_force
 from ..model.decay import decays_and_beats
 from ..parameters import PARAMETERS
 from ..result import Covariance, Result
-from ..result.reload import initial_note, levels_of
+from ..result.reload import initial_note, stored_levels
 from .figure_data import (
     ContactCurves,
     Envelope,
@@ -30,8 +30,8 @@ from .figure_data import (
     FigureData,
     IdentifiabilityData,
     LevelCurves,
+    ModalResponseCurves,
     RecordingCurves,
-    RingingCurves,
     Strokes,
 )
 from .identifiability_text import half_interval
@@ -40,9 +40,21 @@ if TYPE_CHECKING:
     from ..result.result import FittedRecording
 
 __all__ = [
-    "contact_curves", "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "largest_compression",
-    "level_curves", "paths_of", "recordings_of", "reference_curves", "ringing_curves", "spectrum_db", "strokes_of",
-]  # fmt: skip
+    "contact_curves",
+    "curves_of",
+    "envelopes_of",
+    "felt_of",
+    "has_intervals",
+    "identifiability_of",
+    "largest_compression",
+    "level_curves",
+    "paths_of",
+    "recordings_of",
+    "reference_curves",
+    "modal_response_curves",
+    "spectrum_db",
+    "strokes_of",
+]
 
 ATTACK_S = 0.03
 # Damping of the spectra, 1/s. The peaks are narrow enough to separate partials and wide enough to be visible.
@@ -90,9 +102,9 @@ def curves_of(result: Result) -> FigureData:
         reference_index=result.reference_index,
         paths=paths_of(result),
         felt=felt_of(result),
-        identifiability=known_of(result),
+        identifiability=identifiability_of(result),
         strokes=strokes_of(result),
-        ringing=ringing_curves(result),
+        ringing=modal_response_curves(result),
     )
 
 
@@ -113,7 +125,7 @@ def reference_curves(result: Result) -> FigureData:
     spectra = {name: spectrum_db(samples[onset:], rate, highest) for name, samples in mono.items()}
     attack = slice(onset, onset + int(ATTACK_S * rate))
     f0, B = (result.document["derived"][name] for name in ("f0", "B"))
-    sounds = {"original": recording.samples if reference.as_played.frames is None else recording.frames}
+    sounds = {"original": recording.samples if reference.final.frames is None else recording.frames}
     if reference.ringing is None:
         sounds |= {"initial": initial.samples, "fitted": reference.sound}
     else:
@@ -123,7 +135,7 @@ def reference_curves(result: Result) -> FigureData:
         spectra={name: level for name, (_, level) in spectra.items()},
         borders=tuple(result.document["criterion"]["borders"]),
         attack_ms=1e3 * np.arange(len(recording.samples[attack])) / rate,
-        attack={name: x[attack] for name, x in (mono | {"fitted": reference.as_played.samples}).items()},
+        attack={name: x[attack] for name, x in (mono | {"fitted": reference.final.samples}).items()},
         number=k,
         frequency_cents=_cents(partials.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * partials.frequency_error / partials.frequency,
@@ -163,7 +175,7 @@ def contact_curves(result: Result) -> ContactCurves:
 
 def level_curves(result: Result) -> LevelCurves:
     """Return the levels of the partials of the reference recording, from `fit.json`."""
-    levels = levels_of(result.document, result.reference_index)
+    levels = stored_levels(result.document, result.reference_index)
     return LevelCurves(
         number=levels["number"].astype(int), level_error=levels["error"],
         levels={name: levels[name] for name in ("measured", "initial", "fitted")},
@@ -216,7 +228,7 @@ def _recording(place: int, fitted: FittedRecording) -> RecordingCurves:
         sound_rate=recording.rate,
         onset=recording.onset / recording.rate,
         sound_original=recording.samples,
-        sound_fitted=fitted.as_played.samples,
+        sound_fitted=fitted.final.samples,
     )
 
 
@@ -310,7 +322,7 @@ def _shared_covariance(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
     cov = full
     velocity = result.parameters.get("v_H0")
     if velocity is not None and velocity.status == "scaled":
-        fixed = len(names) + reference_of(result.document["recordings"])[1]["stroke"]
+        fixed = len(names) + reference_row(result.document["recordings"])[1]["stroke"]
         if cov[fixed, fixed] > 0:
             cov = cov - np.outer(cov[fixed], cov[fixed]) / cov[fixed, fixed]
             # Parameters that vary only with the scale are fixed now, apart from rounding errors.
@@ -321,11 +333,11 @@ def _shared_covariance(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
 def _band(value: np.ndarray, derivative: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """Return [3, n]: `value` [n] and the ends of its 95 % interval, by the `derivative` [n, names] of its logarithm."""
     sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", derivative, cov, derivative), 0.0))
-    half = np.minimum(NORMAL * sd, LARGEST_EXPONENT)
+    half = np.minimum(HALF_WIDTH_95 * sd, LARGEST_EXPONENT)
     return value * np.exp(np.stack([0 * half, -half, half]))
 
 
-def known_of(result: Result) -> IdentifiabilityData | None:
+def identifiability_of(result: Result) -> IdentifiabilityData | None:
     """Return uncertainties of invariants and parameters, and correlations; None without intervals."""
     names, cov = _shared_covariance(result)
     correlation = Covariance(names, cov).correlation
@@ -345,7 +357,7 @@ def known_of(result: Result) -> IdentifiabilityData | None:
 # --- the modal response -----------------------------------------------------------------------------------------------
 
 
-def ringing_curves(result: Result) -> RingingCurves | None:
+def modal_response_curves(result: Result) -> ModalResponseCurves | None:
     """Return the curves of the modal response, for the reference recording; None if the fit did not estimate it."""
     if "ringing" not in result.document:
         return None
@@ -355,14 +367,14 @@ def ringing_curves(result: Result) -> RingingCurves | None:
     end = recording.onset + round((ENVELOPE_SECONDS + MARGIN_SECONDS) * recording.rate)
     (time, measured), (_, played) = (
         mel_power(samples[:end], recording.rate, recording.onset, n, MEL_BANDS)
-        for samples in (recording.samples, reference.as_played.samples)
+        for samples in (recording.samples, reference.final.samples)
     )
     # At least one frame, also of a very short recording.
     frames = time <= max(min(ENVELOPE_SECONDS, time[-1] - WINDOW_SECONDS), 0.0)
     time, measured, played = time[frames], measured[frames], played[frames]
-    floor = max(float(measured.max()), 1e-30) * 10 ** (-HEARD / 10)
+    floor = max(float(measured.max()), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
     strongest = sorted(reference.partials.number[np.argsort(reference.level)[-ENVELOPES:]].tolist())
-    return RingingCurves(
+    return ModalResponseCurves(
         envelopes=envelopes_of(result, strongest),
         time=time,
         frequency=mel_edges(n, MEL_BANDS, recording.rate)[1:-1],

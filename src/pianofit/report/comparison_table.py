@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from ..errors import FitError
 from ..felt import LAWS
-from ..io.files import printable, reference_of
+from ..io.files import printable, reference_row
 from ..result import Quantity, Result
 from .build import felt_of, has_intervals, largest_compression
 from .figure_data import Felt
@@ -144,7 +144,7 @@ def _compared(sides: Sides, a: Quantity | None, b: Quantity | None, objection: s
     if reason := _reason(sides, a, b) or objection:
         return ComparedQuantity(a.name, a.unit, a, b, None, None, None, reason)
     log_ratio = math.log(b.value / a.value)
-    sd = math.hypot(*(half_interval({"interval": q.interval}) or 0.0 for q in (a, b))) / NORMAL
+    sd = math.hypot(*(half_interval({"interval": q.interval}) or 0.0 for q in (a, b))) / HALF_WIDTH_95
     # The logarithmic mean turns a difference of logarithms into one of values, exactly.
     mean = (b.value - a.value) / log_ratio if abs(log_ratio) > SAME else 0.5 * (a.value + b.value)
     return ComparedQuantity(a.name, a.unit, a, b, b.value - a.value, mean * sd, log_ratio / sd)
@@ -204,7 +204,7 @@ def _stroke_checksums(sides: Sides, index: int, name: str) -> tuple[Any, Any]:
     rows = sides.documents[index]["recordings"]
     stroke = int(name.removeprefix(VELOCITY_RATIO).strip() or 0) - 1
     recording = next((row for row in rows if row.get("stroke") == stroke), {})
-    return recording.get("sha256"), reference_of(rows)[1].get("sha256")
+    return recording.get("sha256"), reference_row(rows)[1].get("sha256")
 
 
 def _assumptions(sides: Sides, a: Quantity, b: Quantity) -> str:

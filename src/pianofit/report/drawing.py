@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -184,8 +184,17 @@ def _saved(figure: Figure, **options: Any) -> bytes:
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:
     """Draw measured values with 95 % bars."""
-    axes.errorbar(number, value, yerr=NORMAL * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
-                  label="measured", zorder=5)  # fmt: skip
+    axes.errorbar(
+        number,
+        value,
+        yerr=HALF_WIDTH_95 * np.nan_to_num(np.abs(error)),
+        fmt="o",
+        ms=3.6,
+        color=MEASURED,
+        lw=1,
+        label="measured",
+        zorder=5,
+    )
 
 
 def number_axis(axes: Axes, number: np.ndarray) -> None:

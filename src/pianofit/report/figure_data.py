@@ -18,7 +18,7 @@ __all__ = [
     "IdentifiabilityData",
     "LevelCurves",
     "RecordingCurves",
-    "RingingCurves",
+    "ModalResponseCurves",
     "Strokes",
 ]
 
@@ -107,7 +107,7 @@ class Envelope:
 
 
 @dataclass(frozen=True)
-class RingingCurves:
+class ModalResponseCurves:
     """Reference recording and fitted note, over time and frequency."""
 
     envelopes: tuple[Envelope, ...]
@@ -153,4 +153,4 @@ class FigureData:
     felt: Felt | None = None
     identifiability: IdentifiabilityData | None = None
     strokes: Strokes | None = None
-    ringing: RingingCurves | None = None
+    ringing: ModalResponseCurves | None = None

@@ -28,7 +28,7 @@ from .drawing import (
 )
 from .figure_data import ContactCurves, FigureData, LevelCurves
 from .figures_identifiability import draw_felt, draw_identifiability
-from .figures_modal_response import draw_ringing
+from .figures_modal_response import draw_modal_response
 from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 from .text import BANDS
 
@@ -75,7 +75,7 @@ def draw_figures(
         if curves.identifiability is not None:
             figures["identifiability"] = draw_identifiability(curves.identifiability)
         if curves.ringing is not None:
-            figures |= draw_ringing(curves.ringing)
+            figures |= draw_modal_response(curves.ringing)
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .drawing import FITTED, HEIGHT, INITIAL, LINES, make_figure, panel, span
-from .figure_data import Envelope, RingingCurves
+from .figure_data import Envelope, ModalResponseCurves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_envelope", "draw_ringing"]
+__all__ = ["draw_envelope", "draw_modal_response"]
 
 ENVELOPE_RANGE = 75.0  # dB below the maximum
 LARGEST_DIFFERENCE = 20.0  # dB, end of the colour scale
@@ -23,7 +23,7 @@ TICKS = (100, 500, 1000, 2000, 5000, 10_000)
 SHADES = ["#ffffff", "#9cc9e3", "#2f86bd", "#0a2f4f"]
 
 
-def draw_ringing(curves: RingingCurves) -> dict[str, list[Figure]]:
+def draw_modal_response(curves: ModalResponseCurves) -> dict[str, list[Figure]]:
     """Draw the envelopes, and the spectrograms of both sounds and of their difference: name -> panels."""
     envelopes = [make_figure(draw_envelope, envelope, height=0.6 * HEIGHT) for envelope in curves.envelopes]
     return {"envelopes": envelopes, "spectrograms": _spectrograms(curves)}
@@ -41,7 +41,7 @@ def draw_envelope(axes: Axes, envelope: Envelope) -> None:
              ylim=(max(low, top - ENVELOPE_RANGE) - 3, top + 4))  # fmt: skip
 
 
-def _spectrograms(curves: RingingCurves) -> list[Figure]:
+def _spectrograms(curves: ModalResponseCurves) -> list[Figure]:
     from matplotlib.colors import LinearSegmentedColormap
 
     levels = LinearSegmentedColormap.from_list("level", SHADES)
@@ -55,7 +55,9 @@ def _spectrograms(curves: RingingCurves) -> list[Figure]:
     ]
 
 
-def _map(curves: RingingCurves, db: np.ndarray, title: str, colours, limits: tuple[float, float], label: str) -> Figure:
+def _map(
+    curves: ModalResponseCurves, db: np.ndarray, title: str, colours, limits: tuple[float, float], label: str
+) -> Figure:
     """Draw levels [bands, frames] as an image, with its colour scale below."""
     figure, (axes,) = panel(HEIGHT, legend_rows=2)
     bands, end = np.arange(len(curves.frequency)), max(span(curves.time)[1], 1e-3)

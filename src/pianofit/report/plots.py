@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
 from ..result import Result
-from .build import contact_curves, envelopes_of, felt_of, known_of, level_curves, reference_curves
+from .build import contact_curves, envelopes_of, felt_of, identifiability_of, level_curves, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_identifiability import draw_correlations, draw_static_law
@@ -81,7 +81,7 @@ class Plots:
         `label` goes into the title. Raises `FitError` if the fit has no intervals, like those of the paper's recipes.
         """
         _ = self.result.covariance
-        data = known_of(self.result)
+        data = identifiability_of(self.result)
         if data is None:
             raise FitError("this fit has no intervals and therefore no correlations; fit with recipe='default'")
         axes = drawn_on(ax, lambda axes: draw_correlations(axes, data), None, (6.4, 5.6))

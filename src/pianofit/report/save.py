@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import FitError, OutputError, PianofitError
 from ..io.files import (
-    LARGEST_FIT,
+    MAX_FIT_BYTES,
     encode_wav,
     json_text,
     load_json,
@@ -72,7 +72,7 @@ def _previous_outputs(folder: Path) -> set[str]:
     """Return the files of an earlier fit. The sounds of recordings are those that its `fit.json` names."""
     names = {"report.html", KNOCK_FILE, DRAWS_FILE}
     try:
-        rows = load_json(folder / "fit.json", LARGEST_FIT, "a fit.json", "")["recordings"]
+        rows = load_json(folder / "fit.json", MAX_FIT_BYTES, "a fit.json", "")["recordings"]
         return names | {*stroke_names([Path(row["file"]).stem for row in rows])}
     except (PianofitError, KeyError, TypeError):
         return names

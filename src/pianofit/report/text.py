@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "bands", "comparison", "format_unit", "glide", "groups", "interval_method_text", "minima", "modal_response_text",
-    "notices", "recontact_text", "ringing_line", "rows", "summary_tiles",
+    "notices", "recontact_text", "modal_response_line", "rows", "summary_tiles",
 ]  # fmt: skip
 
 STATUS = {  # status -> mark, explanation
@@ -255,7 +255,7 @@ def modal_response_text(entry: dict[str, Any]) -> str:
     return f"{tested} Therefore this key is played with {_render_model(entry)}."
 
 
-def ringing_line(entry: dict[str, Any]) -> str:
+def modal_response_line(entry: dict[str, Any]) -> str:
     """Return the same as one line for a terminal."""
     model, errors = entry["by"], entry["left_out_db"]
     line = f"played with {_render_model(entry)}"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inference.intervals import IntervalResult, named
+from ..inference.intervals import IntervalResult, parameter_indices
 from ..inference.laplace import Posterior
-from ..inference.parametrisation import ABSENT
+from ..inference.parametrisation import LOG_ABSENT_LOSS
 from ..inference.pipeline import InferenceResult
 from ..model.note import Note
 from ..parameters import FIT_NAMES
@@ -17,11 +17,11 @@ from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
 from .draws import Draws
 from .identifiability import (
-    correlated,
     identifiability_statement,
     invariant_status,
     scaled_parameters,
     statuses,
+    strong_correlations,
     unidentifiable_parameters,
     velocity_statuses,
     warnings,
@@ -29,7 +29,15 @@ from .identifiability import (
 from .minima_notes import notes_of
 from .quantities import UNITS, Covariance
 from .result import FittedRecording, Result
-from .serialise import entry, no_interval, recording_entry, sizes, to_document, unit_and_meaning, wander_document
+from .serialise import (
+    no_interval,
+    parameter_row,
+    recording_row,
+    sizes,
+    to_document,
+    unit_and_meaning,
+    velocity_discrepancy_document,
+)
 
 __all__ = ["build_result"]
 
@@ -48,8 +56,8 @@ def build_result(fit: InferenceResult) -> Result:
     FitError
         If an initial or a final contact does not end.
     """
-    problem, found = fit.problem, fit.found
-    by_minimum = [notes_of(problem, found.minima, which) for which in range(len(found.minima.F))]
+    problem, found = fit.problem, fit.estimate
+    by_minimum = [notes_of(problem, found.minima, which) for which in range(len(found.minima.nll))]
     recordings = compare_recordings(fit, by_minimum[0])
     notes = tuple(
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
@@ -58,7 +66,7 @@ def build_result(fit: InferenceResult) -> Result:
     states, velocities = statuses(fit), _velocities(fit)
     levels = pool_level_errors([recording.levels for recording in recordings])
     document = to_document(
-        problem.start, recordings, problem.reference, _rows(fit, recordings, velocities), _covariance(fit),
+        problem.initial_values, recordings, problem.reference, _rows(fit, recordings, velocities), _covariance(fit),
         recipe="default",
         seed=fit.seed, converged=bool(found.minima.converged[0]), claims=identifiability_statement(fit, states, levels),
         messages=warnings(
@@ -66,11 +74,11 @@ def build_result(fit: InferenceResult) -> Result:
             [recording.levels["fitted_db"] for recording in recordings],
         ),
         invariants=_invariants(fit, states),
-        parameters=_parameters(fit, states, velocities[problem.layout.stroke[problem.reference]]),
+        parameters=_parameters(fit, states, velocities[problem.structure.stroke[problem.reference]]),
         minima=_minima(fit, notes), diagnostics=_diagnostics(fit),
     )  # fmt: skip
-    draws = None if fit.view is None or fit.view.draws is None else _draws(fit, document, fit.view)
-    return Result(document, recordings, problem.reference, notes, tuple(found.posterior.share.tolist()), draws)
+    draws = None if fit.alternative is None or fit.alternative.draws is None else _draws(fit, document, fit.alternative)
+    return Result(document, recordings, problem.reference, notes, tuple(found.posterior.weight.tolist()), draws)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
@@ -93,29 +101,29 @@ def _interval(
 
 def _velocities(fit: InferenceResult) -> list[dict]:
     """The velocity of every stroke, as an entry of `parameters`."""
-    problem, u = fit.problem, fit.problem.unknowns
+    problem, u = fit.problem, fit.problem.parametrisation
     rows = []
     for at, measured, status in zip(
         range(u.shared, u.size), problem.measured_velocity, velocity_statuses(fit), strict=True
     ):
-        value = float(np.exp(fit.found.z[at])) if measured is None else float(measured)
+        value = float(np.exp(fit.estimate.theta[at])) if measured is None else float(measured)
         note = "its scale comes from the prior" if status == "scaled" else ""
         span = _interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))
-        initial = float(np.exp(fit.begun[at]))
-        rows.append(entry(value, {"unit": UNITS["v_H0"]}, status, initial, note, span))
-    rows[problem.velocity - u.shared] |= fit.alternative_interval("v_H0")
+        initial = float(np.exp(fit.initial_theta[at]))
+        rows.append(parameter_row(value, {"unit": UNITS["v_H0"]}, status, initial, note, span))
+    rows[problem.reference_velocity_index - u.shared] |= fit.alternative_interval("v_H0")
     return rows
 
 
 def _parameters(fit: InferenceResult, states: dict[str, str], velocity: dict) -> dict[str, dict]:
     """Every parameter with value, unit, interval and status; `velocity` is the entry of the reference stroke."""
-    u, start = fit.problem.unknowns, fit.problem.start
+    u, start = fit.problem.parametrisation, fit.problem.initial_values
     log, table = fit.posterior.mean[0], {"v_H0": velocity}
     for name in u.reported:
         i = u.index_of(name)
-        if log[i] <= ABSENT:
+        if log[i] <= LOG_ABSENT_LOSS:
             unit = {"unit": UNITS[name]}
-            table[name] = entry(0.0, unit, "given", 0.0, f"not a parameter of the felt law {u.law.name}")
+            table[name] = parameter_row(0.0, unit, "given", 0.0, f"not a parameter of the felt law {u.law.name}")
             continue
         scales = [f"the assumed {size}" for size in start.assumptions.get(name, ())]
         scales += ["the velocities"] * (name in scaled_parameters(fit))
@@ -126,7 +134,7 @@ def _parameters(fit: InferenceResult, states: dict[str, str], velocity: dict) ->
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         initial = float(start.initial[name])
         span = _interval(fit.posterior, np.eye(u.size)[i], value, u.range(i)) | fit.alternative_interval(name)
-        table[name] = entry(value, unit_and_meaning(name, u.law), states[name], initial, note, span)
+        table[name] = parameter_row(value, unit_and_meaning(name, u.law), states[name], initial, note, span)
     order = [
         *(name for name in PARAMETER_ORDER if name in table),
         *(name for name in table if name not in PARAMETER_ORDER),
@@ -139,7 +147,7 @@ def _invariants(fit: InferenceResult, states: dict[str, str]) -> dict:
 
     They do not depend on the velocity scale either, except the felt force at a compression, whose status is `scaled`.
     """
-    u, g = fit.problem.unknowns, fit.problem.start.geometry
+    u, g = fit.problem.parametrisation, fit.problem.initial_values.geometry
     direction, values = (
         np.eye(u.size)[u.index_of("kappa")] - np.eye(u.size)[u.index_of("c")],
         np.exp(fit.posterior.mean[0]),
@@ -160,41 +168,46 @@ def _combined(
     posterior: Posterior, direction: np.ndarray, value: float, unit: str, factors: list[str], note: str = ""
 ) -> dict:
     """Entry of a product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
-    status = invariant_status(factors, posterior.spread(direction))
+    status = invariant_status(factors, posterior.sd(direction))
     interval = _interval(posterior, direction, value)
     return {"value": value, "unit": unit, **interval, "note": note, "status": status}
 
 
 def _ratio(fit: InferenceResult, states: dict[str, str], name: str, divisor: float, unit: str = "1") -> dict:
     """Entry of one parameter over a fixed size, with the alternative interval if there is one."""
-    at, alternative = fit.problem.unknowns.index_of(name), fit.alternative_interval(name)
+    at, alternative = fit.problem.parametrisation.index_of(name), fit.alternative_interval(name)
     value = float(np.exp(fit.posterior.mean[0, at])) / divisor
-    row = _combined(fit.gauge_fixed, np.eye(fit.problem.unknowns.size)[at], value, unit, [states[name]])
+    row = _combined(fit.gauge_fixed, np.eye(fit.problem.parametrisation.size)[at], value, unit, [states[name]])
     scaled = {"interval": [end / divisor for end in alternative["interval"]]} if alternative else {}
     return row | alternative | scaled
 
 
 def _static_force(fit: InferenceResult, states: dict[str, str], stiffness: int, p: int) -> dict:
     """Entry of the static felt force at the reference compression over the string mass."""
-    problem, u, z = fit.problem, fit.problem.unknowns, fit.found.z
+    problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
     direction = np.eye(u.size)[stiffness] + float(np.exp(z[p])) * u.log_reference_compression * np.eye(u.size)[p]
     note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
     unidentifiable = u.names[stiffness] in unidentifiable_parameters(fit)
     factors = ["at-bound"] * ("at-bound" in [states[u.names[i]] for i in (stiffness, p)])
     factors += ["not-identifiable"] * unidentifiable
-    value = float(np.exp(z[stiffness])) / problem.start.geometry.mass
+    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass
     row = _combined(fit.gauge_fixed, direction, value, "N/kg", factors, note)
     return row | ({"status": "scaled"} if problem.velocity_scale_free and row["status"] == "fitted" else {})
 
 
 def _velocity_ratios(fit: InferenceResult) -> dict:
     """Entries of the velocities of the strokes over that of the reference stroke."""
-    problem, z, unit, states = fit.problem, fit.found.z, np.eye(fit.problem.unknowns.size), velocity_statuses(fit)
-    shared, reference = problem.unknowns.shared, problem.velocity
+    problem, z, unit, states = (
+        fit.problem,
+        fit.estimate.theta,
+        np.eye(fit.problem.parametrisation.size),
+        velocity_statuses(fit),
+    )
+    shared, reference = problem.parametrisation.shared, problem.reference_velocity_index
     table = {}
     for stroke, state in enumerate(states):
-        at, name = shared + stroke, problem.recordings[problem.layout.stroke.index(stroke)].path
+        at, name = shared + stroke, problem.recordings[problem.structure.stroke.index(stroke)].path
         if at != reference:
             table[f"v/v_ref {stroke + 1}"] = _combined(
                 fit.posterior, unit[at] - unit[reference], float(np.exp(z[at] - z[reference])), "1",
@@ -209,10 +222,10 @@ def _velocity_ratios(fit: InferenceResult) -> dict:
 
 def _rows(fit: InferenceResult, recordings: Sequence[FittedRecording], velocities: Sequence[dict]) -> list[dict]:
     """One row of `recordings` for each recording."""
-    problem, layout = fit.problem, fit.problem.layout
+    problem, layout = fit.problem, fit.problem.structure
     f0 = problem.analyses[problem.reference].f0
     return [
-        recording_entry(
+        recording_row(
             recording, velocities[stroke], problem.calibrated, first=i == problem.reference,
             cents=float(1200 * np.log2(recording.analysis.f0 / f0)), group=group, stroke=stroke,
         )
@@ -222,50 +235,53 @@ def _rows(fit: InferenceResult, recordings: Sequence[FittedRecording], velocitie
 
 def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> list[dict]:
     """Every minimum: posterior weight, F, parameters, velocities, and output path of the reference recording."""
-    u, minima, rows = fit.problem.unknowns, fit.found.minima, []
-    for b, weight in enumerate(fit.posterior.share):
+    u, minima, rows = fit.problem.parametrisation, fit.estimate.minima, []
+    for b, weight in enumerate(fit.posterior.weight):
         log = dict(zip(u.names, fit.posterior.mean[b], strict=False))
         path = notes[b][fit.problem.reference].path
         rows.append({
-            "share": float(weight), "F": float(minima.F[b]),
-            "parameters": {n: u.value(n, log[n]) for n in u.reported if log[n] > ABSENT},
-            "velocities": np.exp(minima.people.theta[b, u.shared :]).tolist(),
+            "share": float(weight), "F": float(minima.nll[b]),
+            "parameters": {n: u.value(n, log[n]) for n in u.reported if log[n] > LOG_ABSENT_LOSS},
+            "velocities": np.exp(minima.candidates.theta[b, u.shared :]).tolist(),
             "path_db": None if path is None else path.db.tolist(),
-            "path_wander": None if path is None else wander_document(path.wander),
+            "path_wander": None if path is None else velocity_discrepancy_document(path.velocity_discrepancy),
         })  # fmt: skip
     return rows
 
 
 def _diagnostics(fit: InferenceResult) -> dict:
-    problem, minima = fit.problem, fit.found.minima
-    (sigma, smooth, octaves, floor), (cents, *_), (decay, *_) = (np.exp(x[0]).tolist() for x in minima.people.phi)
+    problem, minima = fit.problem, fit.estimate.minima
+    (sigma, smooth, octaves, floor), (cents, *_), (decay, *_) = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
     return {
-        "F": float(minima.F[0]), "evaluations": fit.found.lanes,
+        "F": float(minima.nll[0]),
+        "evaluations": fit.estimate.n_strokes_computed,
         "partials": int(np.asarray(problem.observed.level.detected).sum()),
         "absent": len(problem.observed.level.censored),
-        "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
+        "contact_rate_Hz": float(problem.model_inputs.rate),
+        "modes": problem.cfg.n_modes,
+        "steps": int(problem.model_inputs.steps),
         "excess": {"frequency_cents": cents, "decay_relative": decay, "level_db": sigma},
         "path": {"smooth_db": smooth, "octaves": octaves} if problem.path else None,
         "floor": floor,
-        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(fit)],
-    } | ({} if fit.view is None else fit.view.diagnostics)  # fmt: skip
+        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in strong_correlations(fit)],
+    } | ({} if fit.alternative is None else fit.alternative.diagnostics)
 
 
 def _covariance(fit: InferenceResult) -> Covariance:
     """Covariance of the logarithms of the parameters and velocities, by name."""
-    names = named(fit.problem)
+    names = parameter_indices(fit.problem)
     return Covariance(tuple(names), fit.posterior.covariance[0][np.ix_([*names.values()], [*names.values()])])
 
 
 def _draws(fit: InferenceResult, document: dict, view: IntervalResult) -> Draws:
     """The posterior draws, with those of the invariants that vary."""
-    draws, u = view.draws or {}, fit.problem.unknowns
+    draws, u = view.draws or {}, fit.problem.parametrisation
     shown = {name: entry["value"] for name, entry in document["parameters"].items()}
 
     def drawn(name: str) -> np.ndarray:
         return np.asarray(draws.get(name, shown[name]))
 
-    g, strokes = fit.problem.start.geometry, {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
+    g, strokes = fit.problem.initial_values.geometry, {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
     table = {
         "f0": drawn("c") / (2 * g.length), "B": (drawn("kappa") * np.pi / (drawn("c") * g.length)) ** 2,
         "M_H/M_S": drawn("M_H") / g.mass, "x0/L": drawn("x0") / g.length,

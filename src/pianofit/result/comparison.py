@@ -10,13 +10,13 @@ import numpy as np
 from ..analysis import Analysis
 from ..criterion import (
     BANDS,
-    Cells,
+    SpectralCells,
+    band_borders,
     band_of,
     band_values,
-    borders,
     closed_form_gain,
+    damping_for,
     level_error_db,
-    line_sigma,
     measure,
 )
 from ..inference import optimiser as descents
@@ -65,7 +65,7 @@ class RecordingComparison:
     recording: Recording
     analysis: Analysis
     scale: float | None  # pickup unit at full scale; None if unknown
-    cells: Cells
+    cells: SpectralCells
     energy: np.ndarray  # |S|² of the recording [partials, nodes]
 
     @classmethod
@@ -83,11 +83,11 @@ class RecordingComparison:
         """Full scale over the pickup unit; None if unknown."""
         return None if self.scale is None else 1.0 / self.scale
 
-    def begins(self, note: Note) -> int | None:
+    def contact_onset(self, note: Note) -> int | None:
         """Sample index of the first contact in a calibrated recording; None if the onset determines it."""
         return None if self.gain is None else round(align_attack(note._replace(gain=self.gain), self.recording))
 
-    def at(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
+    def levels_at_partials(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
         """Levels of partials `number`, dB, at the recording's [partials]; measured levels where there are none."""
         scattered = scatter_by_number(level, number, self.analysis.partials.number, np.nan)
         return np.where(np.isfinite(scattered), scattered, self.level)
@@ -97,12 +97,12 @@ class RecordingComparison:
         noise = self.level - self.analysis.partials.snr
         return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, noise * np.log(10) / 10)
 
-    def best(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
+    def energy_and_gain(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
         """|Y|² of a sound on the cells [partials, nodes], and the square of its best gain by eq. 19."""
         energy = _measured(samples, self.recording, self.analysis)[1]
         return energy, closed_form_gain(energy, self.energy, self.cells.spacing[:, None])
 
-    def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> RenderedFit:
+    def render(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> RenderedFit:
         """Render a note aligned with the recording.
 
         Parameters
@@ -115,11 +115,11 @@ class RecordingComparison:
         begins = estimate_contact_onset(note, strike, self.recording) if begins is None else begins
         samples = note.render_mono(strike, self.recording.rate, len(self.recording.samples), begins)
         if gain is None:
-            gain = float(np.sqrt(self.best(samples)[1]))
+            gain = float(np.sqrt(self.energy_and_gain(samples)[1]))
             level = level + 20 * np.log10(max(gain, 1e-15))
         return RenderedFit(note._replace(gain=gain), samples * gain, strike, level)
 
-    def compared(self, initial: RenderedFit, fitted: RenderedFit, levels: dict[str, np.ndarray]) -> FittedRecording:
+    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: dict[str, np.ndarray]) -> FittedRecording:
         """The recording with two sounds, the criterion, and level errors by name of `LEVELS`, one gain removed."""
         chosen = audible_partials(self.analysis.partials.frequency, self.level)
         errors = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
@@ -135,7 +135,7 @@ class RecordingComparison:
         """
 
         def values_of(sound: RenderedFit) -> dict[str, float]:
-            energy, gain_squared = self.best(sound.samples)
+            energy, gain_squared = self.energy_and_gain(sound.samples)
             return band_values((gain_squared if self.scale is None else 1.0) * energy, self.energy, self.cells.spacing)
 
         before, after, number = values_of(initial), values_of(fitted), self.analysis.partials.number
@@ -144,13 +144,13 @@ class RecordingComparison:
         return values | {
             "dropped": [name for name in BANDS if name not in occupied],
             "sigma": self.cells.sigma,
-            "borders": list(borders(self.analysis.f0, self.analysis.B, int(number.max()))),
+            "borders": list(band_borders(self.analysis.f0, self.analysis.B, int(number.max()))),
         }
 
 
-def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[Cells, np.ndarray]:
+def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralCells, np.ndarray]:
     """Cells of a recording, and |Y|² on them of a sound aligned with it [partials, nodes]."""
-    return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
+    return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
 
 def pool_level_errors(levels: Sequence[dict]) -> dict:
@@ -172,36 +172,38 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     FitError
         If an initial or a final contact does not end.
     """
-    problem, descent, columns = fit.problem, fit.found.minima.descent, fit.problem.observed.number
-    integrated = latent_means(fit.found.minima, 0)
-    start = fit.begun.copy()
-    start[:STRING_SIZE] = np.log([problem.start.initial[name] for name in STRING_NAMES])
+    problem, descent, columns = fit.problem, fit.estimate.minima.optimiser, fit.problem.observed.number
+    integrated = latent_means(fit.estimate.minima, 0)
+    start = fit.initial_theta.copy()
+    start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = descent.level(start[None])[0]
-    fitted = np.asarray(descent.table.value) - integrated.own
+    fitted = np.asarray(descent.table.value) - integrated.residual
     path_only = None if problem.calibrated else fit_reference_hammer(fit)
     compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
-        comparison = RecordingComparison.of(recording, problem.analyses[i], problem.start.scale)
-        begins = comparison.begins(note)
+        comparison = RecordingComparison.of(recording, problem.analyses[i], problem.initial_values.scale)
+        begins = comparison.contact_onset(note)
         # The uncertainty of the onset affects the lowest partial least.
         gain = 10 ** (integrated.columns[i][0] / 20) if comparison.gain is None else comparison.gain
-        after = comparison.play(note, float(gain), begins, comparison.at(fitted[i], columns))
+        after = comparison.render(note, float(gain), begins, comparison.levels_at_partials(fitted[i], columns))
         # The initial sound has its best gain by the criterion, since its overall level is not compared.
-        before = comparison.play(_note_at(fit, start, i), comparison.gain, begins, comparison.at(initial[i], columns))
+        before = comparison.render(
+            _note_at(fit, start, i), comparison.gain, begins, comparison.levels_at_partials(initial[i], columns)
+        )
         levels = {"initial_db": before.level, "fitted_db": after.level}
-        levels |= {} if path_only is None else {"path_only_db": comparison.at(path_only[i], columns)}
+        levels |= {} if path_only is None else {"path_only_db": comparison.levels_at_partials(path_only[i], columns)}
         compared.append(
-            comparison.compared(before, after, {n: comparison.add_noise_floor(x) for n, x in levels.items()})
+            comparison.compare(before, after, {n: comparison.add_noise_floor(x) for n, x in levels.items()})
         )
     return tuple(compared)
 
 
 def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
     """The note of recording `i` at parameters `z` [size], without an output path."""
-    u, problem = fit.problem.unknowns, fit.problem
-    hammer = u.hammer(z, problem.layout.stroke[i])
-    return Note(u.string(z), hammer, u.geometry_at(z), problem.start.quantity, 1.0, None)
+    u, problem = fit.problem.parametrisation, fit.problem
+    hammer = u.hammer(z, problem.structure.stroke[i])
+    return Note(u.string(z), hammer, u.geometry_at(z), problem.initial_values.quantity, 1.0, None)
 
 
 def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
@@ -209,20 +211,21 @@ def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
 
     A free strike position is fitted too. So the remaining difference to the fitted hammer is due to mass and felt.
     """
-    problem, u, z = fit.problem, fit.problem.unknowns, fit.found.z
+    problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
     hammer = np.arange(u.size) < u.shared
     hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
-    with_hammer = replace(u, mean=np.where(hammer, fit.begun, u.mean), sd=np.where(hammer, 0.0, u.sd))
-    descent = descents.Optimiser(replace(problem, unknowns=with_hammer), z[:STRING_SIZE], descents.LEVELS)
-    phi, offset = fit.found.minima.people.level.phi[:1], descent.discretisation_error_db(z[None])[0]
+    with_hammer = replace(u, mean=np.where(hammer, fit.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
+    descent = descents.Optimiser(replace(problem, parametrisation=with_hammer), z[:STRING_SIZE], descents.LEVELS)
+    phi, offset = fit.estimate.minima.candidates.level.phi[:1], descent.discretisation_error_db(z[None])[0]
     surrogates = [QuadraticSurrogate.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
     starts = np.concatenate(
-        rescan_velocities(descent, with_hammer.project(np.stack([fit.begun, z])), surrogates, offset)
+        rescan_velocities(descent, with_hammer.project(np.stack([fit.initial_theta, z])), surrogates, offset)
     )
     candidates = descent.minimise(descent.initialise(starts, [phi], offset=offset), 0.0, DESCENT_STEPS, DESCENT_GAIN)
     if not len(candidates):
         return np.full(descent.table.value.shape, SILENT_DB)
     best = candidates.level
     return (
-        np.asarray(descent.table.value) - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).own
+        np.asarray(descent.table.value)
+        - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).residual
     )

@@ -14,7 +14,7 @@ import numpy as np
 from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
 from ..errors import FitError, ParameterError, check_type
-from ..fit_file import gains_of
+from ..fit_file import relative_gains
 from ..inference.pipeline import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
@@ -131,7 +131,7 @@ def _predict(fit: Result, groups: Sequence[int], group: int, analysis: Analysis)
         return None
     recording = groups.index(group)
     notes = [(weight, notes[recording]) for weight, notes in zip(fit.weights, fit.minima_notes, strict=True)]
-    return predict_recording(notes, analysis, gains=gains_of(fit.document, recording))
+    return predict_recording(notes, analysis, gains=relative_gains(fit.document, recording))
 
 
 def _neighbours(i: int, order: list[int], fitted: list[dict]) -> list[int]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..conversions import NORMAL
+from ..conversions import HALF_WIDTH_95
 from ..inference import priors
 from ..inference.parametrisation import STRING_SIZE
 from ..inference.pipeline import InferenceResult
@@ -23,10 +23,20 @@ from .serialise import unit_and_meaning
 from .velocity_check import PIANIST_VELOCITY_RATIO, contradictory_velocities
 
 __all__ = [
-    "AT_EDGE", "STATUSES", "STOPPED", "correlated", "identifiability_statement", "invariant_status", "mixed_layouts",
-    "scaled_parameters", "statuses", "unidentifiable_parameters", "velocity_assumption", "velocity_statuses",
+    "AT_BOUND",
+    "STATUSES",
+    "NOT_CONVERGED",
+    "strong_correlations",
+    "identifiability_statement",
+    "invariant_status",
+    "mixed_format_warnings",
+    "scaled_parameters",
+    "statuses",
+    "unidentifiable_parameters",
+    "velocity_assignment_warning",
+    "velocity_statuses",
     "warnings",
-]  # fmt: skip
+]
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
@@ -49,8 +59,8 @@ MIXTURE_NOTES = {
     "profile": "Predictions average over all minima. Intervals of the parameters belong to the minimum shown.",
     "posterior": "Predictions average over all minima. Intervals of the parameters come from the posterior draws.",
 }
-STOPPED = "The search stopped before it converged. Do not use any of the values."
-AT_EDGE = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
+NOT_CONVERGED = "The search stopped before it converged. Do not use any of the values."
+AT_BOUND = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
 CRITERION_NOT_DECREASED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
 ONE_RECORDING = (
     "One uncalibrated recording does not determine the hammer felt. A different felt gives the same sound through a "
@@ -77,10 +87,14 @@ SEVERAL_VELOCITIES = (
 
 def statuses(fit: InferenceResult) -> dict[str, str]:
     """One of `STATUSES` by parameter name."""
-    u, start = fit.problem.unknowns, fit.problem.start
-    at_bound, unidentifiable, scaled = u.at_bound(fit.found.z), unidentifiable_parameters(fit), scaled_parameters(fit)
+    u, start = fit.problem.parametrisation, fit.problem.initial_values
+    at_bound, unidentifiable, scaled = (
+        u.at_bound(fit.estimate.theta),
+        unidentifiable_parameters(fit),
+        scaled_parameters(fit),
+    )
     # Standard deviations of log(value). For the parameters of the string only `MAX_LOG_SD` applies.
-    prior = np.linalg.norm(u.tangent(fit.found.z) * u.sd, axis=1)
+    prior = np.linalg.norm(u.tangent(fit.estimate.theta) * u.sd, axis=1)
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
     def status(i: int, name: str) -> str:
@@ -90,7 +104,7 @@ def statuses(fit: InferenceResult) -> dict[str, str]:
             return "at-bound"
         # Without a measured velocity, the prior alone sets the scale of these parameters.
         posterior = fit.gauge_fixed if name in scaled else fit.posterior
-        if name in unidentifiable or posterior.spread(np.eye(u.size)[i]) > widest[i]:
+        if name in unidentifiable or posterior.sd(np.eye(u.size)[i]) > widest[i]:
             return "not-identifiable"
         return "scaled" if name in scaled or start.assumptions.get(name) else "fitted"
 
@@ -99,12 +113,16 @@ def statuses(fit: InferenceResult) -> dict[str, str]:
 
 def scaled_parameters(fit: InferenceResult) -> tuple[str, ...]:
     """Felt parameters that change with the common scale of the velocities, if that scale is unknown."""
-    return fit.problem.unknowns.law.scaling("N m") if fit.problem.velocity_scale_free and _path_compared(fit) else ()
+    return (
+        fit.problem.parametrisation.law.parameters_with_unit("N m")
+        if fit.problem.velocity_scale_free and _path_compared(fit)
+        else ()
+    )
 
 
 def _fastest_over_slowest(fit: InferenceResult, strokes: Sequence[int]) -> tuple[float, float, float]:
     """Logarithm of the largest ratio of the strokes' velocities: low end of its 95 % interval, value, high end."""
-    u, z = fit.problem.unknowns, fit.found.z
+    u, z = fit.problem.parametrisation, fit.estimate.theta
     index, direction = u.shared + np.array(strokes), np.zeros(u.size)
     direction[index[np.argmax(z[index])]] += 1
     direction[index[np.argmin(z[index])]] -= 1
@@ -115,7 +133,7 @@ def _fastest_over_slowest(fit: InferenceResult, strokes: Sequence[int]) -> tuple
 
 def _path_compared(fit: InferenceResult) -> bool:
     """True if one output path was recorded with two velocities whose 95 % interval excludes equality."""
-    layout = fit.problem.layout
+    layout = fit.problem.structure
     paths = [
         sorted({s for s, g in zip(layout.stroke, layout.group, strict=True) if g == group})
         for group in set(layout.group)
@@ -126,7 +144,7 @@ def _path_compared(fit: InferenceResult) -> bool:
 def unidentifiable_parameters(fit: InferenceResult) -> tuple[str, ...]:
     """Hammer parameters reported as not identifiable, even if their interval is narrow."""
     problem = fit.problem
-    felt = tuple(problem.unknowns.law.parameters)
+    felt = tuple(problem.parametrisation.law.parameters)
     if problem.calibrated:
         return () if fit.excess <= FELT_EXCESS_DB else felt if fit.excess <= HAMMER_EXCESS_DB else (*felt, "M_H")
     if _path_compared(fit):
@@ -152,7 +170,7 @@ def velocity_statuses(fit: InferenceResult) -> list[str]:
     else:
         unidentifiable = not _path_compared(fit) or bool(_implausible_velocities(fit))
     searched = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
-    at_bound = problem.unknowns.at_bound(fit.found.z)[problem.unknowns.shared :]
+    at_bound = problem.parametrisation.at_bound(fit.estimate.theta)[problem.parametrisation.shared :]
     return [
         "given" if v is not None else "at-bound" if bound else searched
         for v, bound in zip(problem.measured_velocity, at_bound, strict=True)
@@ -182,13 +200,16 @@ def identifiability_statement(fit: InferenceResult, states: dict[str, str], leve
         f"and {'output path' if problem.path else 'gain'}, it is {levels['path_only_db']:.1f} dB."
     )
     if not _path_compared(fit):
-        felt = any(problem.unknowns.free[problem.unknowns.index_of(name)] for name in problem.unknowns.law.parameters)
+        felt = any(
+            problem.parametrisation.free[problem.parametrisation.index_of(name)]
+            for name in problem.parametrisation.law.parameters
+        )
         prior = "the prior of the output path" if problem.path else "the prior"
         return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
     implausible = _implausible_velocities(fit)
     text += implausible
     if problem.velocity_scale_free and not implausible:
-        scaled = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
+        scaled = (name.replace("mu", "μ") for name in problem.parametrisation.law.parameters_with_unit("N m"))
         text += (
             f" No hammer velocity was measured. {_listed('Velocities', *scaled)} are therefore determined only up to "
             "one common factor, and their intervals come from the prior. The ratios listed first, f0 and B do not "
@@ -199,7 +220,7 @@ def identifiability_statement(fit: InferenceResult, states: dict[str, str], leve
 
 def _initial_hammer(problem: FitProblem) -> str:
     """The origin of the hammer with which the search began."""
-    start = problem.start
+    start = problem.initial_values
     return "initial" if start.user_given or start.law.hammers is None else "literature"
 
 
@@ -220,14 +241,14 @@ def _calibrated(fit: InferenceResult, states: dict[str, str]) -> str:
         return f"{opening}, but {'do' if several else 'does'} not determine {_listed(*unidentifiable)}."
     pairs = (
         f" {a} and {b} are determined mainly in one combination: {_identified(fit, a, b)}."
-        for a, b, _ in correlated(fit)
+        for a, b, _ in strong_correlations(fit)
     )
     return f"{opening} and {'determine' if several else 'determines'} all free parameters." + "".join(pairs)
 
 
 def _implausible_velocities(fit: InferenceResult) -> str:
     """A sentence if the velocities of the strokes certainly differ by more than those of a pianist."""
-    logs = _fastest_over_slowest(fit, range(fit.problem.unknowns.size - fit.problem.unknowns.shared))
+    logs = _fastest_over_slowest(fit, range(fit.problem.parametrisation.size - fit.problem.parametrisation.shared))
     if logs[0] <= np.log(PIANIST_VELOCITY_RATIO):
         return ""
     low, ratio, high = np.exp(logs)
@@ -242,9 +263,9 @@ def _listed(*names: str) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def correlated(fit: InferenceResult) -> list[tuple[str, str, float]]:
+def strong_correlations(fit: InferenceResult) -> list[tuple[str, str, float]]:
     """Pairs of parameters that the recordings do not distinguish, with their correlation."""
-    names, cov = fit.problem.unknowns.names, fit.posterior.covariance[0]
+    names, cov = fit.problem.parametrisation.names, fit.posterior.covariance[0]
     sd = np.sqrt(np.diag(cov))
     return [
         (names[j], names[i], float(r))
@@ -260,11 +281,11 @@ def _identified(fit: InferenceResult, a: str, b: str) -> str:
     log a − s log b has the least variance at s = cov(a, b)/var(b). For K_H and p the combination is the static force
     K_H u^p at the compression u of least variance: d log(K_H u^p) = d log K_H + log(u) p d log p.
     """
-    i, j = (fit.problem.unknowns.index_of(name) for name in (a, b))
+    i, j = (fit.problem.parametrisation.index_of(name) for name in (a, b))
     cov, mean = fit.posterior.covariance[0], fit.posterior.mean[0]
     slope = cov[i, j] / cov[j, j]
-    half = NORMAL * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
-    if (a, b) == fit.problem.unknowns.law.power:
+    half = HALF_WIDTH_95 * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
+    if (a, b) == fit.problem.parametrisation.law.power:
         p = float(np.exp(mean[j]))
         u = float(np.exp(-slope / p))
         force = with_half_interval(float(np.exp(mean[i]) * u**p), half, "N")
@@ -281,27 +302,32 @@ def warnings(fit: InferenceResult, states: dict[str, str], worse: Sequence[str],
     errors : rms level error of every recording, dB.
     """
     problem, at_bound = fit.problem, _names_at_bound(fit, states)
-    lines = [] if fit.found.minima.converged[0] else [STOPPED]
+    lines = [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
     lines += contradictory_velocities(fit)
     lines += _mixture(fit)
     lines += _outlying_recordings(fit, errors)
     lines += [CRITERION_NOT_DECREASED.format(", ".join(worse))] if worse else []
-    lines += [AT_EDGE.format(", ".join(at_bound))] if at_bound else []
+    lines += [AT_BOUND.format(", ".join(at_bound))] if at_bound else []
     lines += [
         f"{a} and {b} are strongly correlated ({r:+.3f}). The best-determined combination is {_identified(fit, a, b)}."
-        for a, b, r in correlated(fit)
+        for a, b, r in strong_correlations(fit)
     ]
     lines += [
         f'[[recording]] file = "{printable(entry)}" matches none of the recordings, so it does not apply to '
         f"{printable(recording)}. Check its spelling."
         for entry, recording in problem.unmatched_entries
     ]
-    lines += [*velocity_assumption(problem), *_assumed(fit), _excess_warning(fit), *mixed_layouts(problem.recordings)]
+    lines += [
+        *velocity_assignment_warning(problem),
+        *_assumed(fit),
+        _excess_warning(fit),
+        *mixed_format_warnings(problem.recordings),
+    ]
     lines += recording_warnings(problem.recordings, problem.analyses)
-    return lines + ([] if fit.view is None else [*fit.view.messages])
+    return lines + ([] if fit.alternative is None else [*fit.alternative.messages])
 
 
-def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
+def mixed_format_warnings(recordings: Sequence[Recording]) -> list[str]:
     """Warnings about recordings of a key that differ in their channels or sample rates."""
     properties = (
         ("channels", lambda recording: len(recording.frames), "The sound of the key is mono"),
@@ -318,7 +344,7 @@ def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
 
 def _outlying_recordings(fit: InferenceResult, errors: Sequence[float]) -> list[str]:
     """Warnings about recordings that the fit reproduces much worse than the others."""
-    group, lines = fit.problem.layout.group, []
+    group, lines = fit.problem.structure.group, []
     for i, (recording, error) in enumerate(zip(fit.problem.recordings, errors, strict=True)):
         others = float(np.median([*errors[:i], *errors[i + 1 :]] or [np.inf]))
         if error > max(OUTLIER_FACTOR * others, HAMMER_EXCESS_DB):
@@ -332,11 +358,11 @@ def _outlying_recordings(fit: InferenceResult, errors: Sequence[float]) -> list[
     return lines
 
 
-def velocity_assumption(problem: FitProblem) -> list[str]:
+def velocity_assignment_warning(problem: FitProblem) -> list[str]:
     """The stroke to which v_H0 of [fixed] was assigned, where several are possible."""
-    if not problem.assumed_velocity_of:
+    if not problem.velocity_without_file:
         return []
-    velocity = problem.measured_velocity[problem.layout.stroke[problem.reference]]
+    velocity = problem.measured_velocity[problem.structure.stroke[problem.reference]]
     name = printable(Path(problem.recordings[problem.reference].path).name)
     return [
         f"[fixed] v_H0 = {velocity:g} m/s was assigned to the stroke of {name}, the brightest recording. To assign it "
@@ -346,7 +372,7 @@ def velocity_assumption(problem: FitProblem) -> list[str]:
 
 def _assumed(fit: InferenceResult) -> list[str]:
     """Warnings about assumed sizes and a fitted width of the contact window."""
-    start, u, lines = fit.problem.start, fit.problem.unknowns, []
+    start, u, lines = fit.problem.initial_values, fit.problem.parametrisation, []
     assumed = sorted({size for sizes in start.assumptions.values() for size in sizes})
     if assumed:
         lines.append(
@@ -356,14 +382,14 @@ def _assumed(fit: InferenceResult) -> list[str]:
     if u.free[width := u.index_of("width")]:
         lines.append(
             "The shape of the contact window is unknown, so an effective width is fitted: "
-            f"{1e3 * np.exp(fit.found.z[width]):.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
+            f"{1e3 * np.exp(fit.estimate.theta[width]):.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
         )
     return lines
 
 
 def _excess_warning(fit: InferenceResult) -> str:
     """The deviations of partials from the model beyond the noise."""
-    frequency, decay = (np.exp(phi[0, 0]) for phi in fit.found.minima.people.phi[1:])
+    frequency, decay = (np.exp(phi[0, 0]) for phi in fit.estimate.minima.candidates.phi[1:])
     return (
         f"Beyond the noise, partials deviate from the model by {frequency:.2f} cents (more from partial "
         f"{priors.LAW_REACH:.0f} on), {100 * decay:.0f} % in decay rate and {fit.excess:.2f} dB in level. "
@@ -373,10 +399,10 @@ def _excess_warning(fit: InferenceResult) -> str:
 
 def _mixture(fit: InferenceResult) -> list[str]:
     """The posterior weight of the minimum shown, and the parameter in which the next one differs most."""
-    weight, z = fit.posterior.share, fit.found.minima.people.theta
+    weight, z = fit.posterior.weight, fit.estimate.minima.candidates.theta
     if len(weight) == 1 or weight[0] > 1 - MIN_OTHER_WEIGHT:
         return []
-    u, other = fit.problem.unknowns, 1 + int(np.argmax(weight[1:]))
+    u, other = fit.problem.parametrisation, 1 + int(np.argmax(weight[1:]))
     # Differences in standard deviations, in the coordinates of the search: force and exponent instead of K_H and p.
     to_search = np.linalg.inv(u.tangent(z[0]))
     sd = np.sqrt(np.diag(to_search @ fit.posterior.covariance[0] @ to_search.T))
@@ -390,5 +416,5 @@ def _mixture(fit: InferenceResult) -> list[str]:
     return [
         f"The minimum shown has posterior weight {first}. Another minimum, with {next_best}, differs most in {name}: "
         f"{second:.4g}{f' {unit}' * (unit != '1')} instead of {shown:.4g}. "
-        + MIXTURE_NOTES["laplace" if fit.view is None else fit.view.method]
+        + MIXTURE_NOTES["laplace" if fit.alternative is None else fit.alternative.method]
     ]

@@ -13,23 +13,24 @@ from ..inference.problem import FitProblem
 from ..inference.refine import Minima
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from .velocity_discrepancy import NOTHING, stroke_deviations
+from .velocity_discrepancy import UNINFORMATIVE_ERROR, stroke_deviations
 
 __all__ = ["latent_means", "notes_of"]
 
 
 def latent_means(minima: Minima, which: int) -> LatentPosterior:
     """Posterior means of the latent variables that F integrates out, at one minimum."""
-    level = minima.people.level
-    return latent_posterior(minima.descent.table, level.residual[which], level.phi[which], level.w[which])
+    level = minima.candidates.level
+    return latent_posterior(minima.optimiser.table, level.residual[which], level.phi[which], level.w[which])
 
 
 def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
     """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
-    u, z, group = problem.unknowns, minima.people.theta[which], problem.layout.group
+    u, z, group = problem.parametrisation, minima.candidates.theta[which], problem.structure.group
     latent = latent_means(minima, which)
     paths = [
-        _path(problem, minima, which, index, latent) if problem.path else None for index in range(problem.layout.groups)
+        _path(problem, minima, which, index, latent) if problem.path else None
+        for index in range(problem.structure.groups)
     ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)
     return [
@@ -37,11 +38,11 @@ def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
             string._replace(c=string.c * analysis.f0 / f0),
             u.hammer(z, stroke),
             u.geometry_at(z),
-            problem.start.quantity,
+            problem.initial_values.quantity,
             1.0,
             paths[path],
         )
-        for analysis, stroke, path in zip(problem.analyses, problem.layout.stroke, group, strict=True)
+        for analysis, stroke, path in zip(problem.analyses, problem.structure.stroke, group, strict=True)
     ]
 
 
@@ -51,17 +52,19 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     Decay rates are relative to the string model. Frequencies are those of the string model, since
     partials are identified by number.
     """
-    observed, candidates = problem.observed, minima.people
-    recordings = np.flatnonzero(np.array(problem.layout.group) == group)
+    observed, candidates = problem.observed, minima.candidates
+    recordings = np.flatnonzero(np.array(problem.structure.group) == group)
     detected = np.any(np.asarray(observed.level.detected)[recordings] > 0, axis=0)
     number = observed.number[detected]
-    frequency = string_law(candidates.theta[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
-    velocity = np.exp(candidates.theta[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[recordings]]
+    frequency = string_law(candidates.theta[which, :STRING_SIZE], number, problem.initial_values.geometry.length)[0][0]
+    velocity = np.exp(candidates.theta[which, problem.parametrisation.shared :])[
+        np.array(problem.structure.stroke)[recordings]
+    ]
     residuals = _residuals(observed.level, candidates.level.phi[which], candidates.level.w[which], latent)
     residual, error, weight = (x[np.ix_(recordings, detected)] for x in residuals)
     velocities, db = stroke_deviations(residual / DB, error / DB, weight, velocity)
     return OutputPath(
-        frequency, latent.common[group][detected], _decays(problem, minima, which, number),
+        frequency, latent.path[group][detected], _decays(problem, minima, which, number),
         VelocityDiscrepancy(velocities, DB * db) if len(velocities) > 1 else None,
     )  # fmt: skip
 
@@ -73,12 +76,12 @@ def _residuals(
     detected, total = np.asarray(table.detected) > 0, variance(table, phi, w)
     # Noise and interference. The small weight of an outlier adds variance beyond the excess, which stays in its error.
     error = np.sqrt(np.maximum(total - np.exp(2 * phi[0]), table.variance))
-    return latent.own, np.where(detected, error, NOTHING), np.where(detected, 1 / total, 0.0)
+    return latent.residual, np.where(detected, error, UNINFORMATIVE_ERROR), np.where(detected, 1 / total, 0.0)
 
 
 def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
     """Decay rates relative to the string model at a minimum, shrunk towards 1 where the noise is large."""
-    observed, decay = problem.observed, minima.people.parts[2]
+    observed, decay = problem.observed, minima.candidates.parts[2]
     excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
     shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
     return scatter_by_number(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)

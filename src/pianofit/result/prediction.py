@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fminbound
 
-from ..analysis import SAME_KEY, Analysis, analyse, cents_above, hz_to_note
+from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
-from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
+from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SD, log_gain
 from ..io.files import printable, short_repr
 from ..io.number_format import counted
-from ..model.note import SLOWEST, Note
-from ..model.output_path import SAME_PARTIAL
+from ..model.note import SLOWEST_LEVEL_VELOCITY, Note
+from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
 from ..threads import one_blas_thread
 from .comparison import audible_partials
@@ -123,7 +123,7 @@ def predict_recording(
     cents = cents_above(analysis.f0, first.f0)
     note = first.with_cents(cents).with_velocity(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     error = level_error_db(level[chosen], p.level[chosen])
-    at_limit = not SLOWEST * LIMIT_RATIO < velocity < FASTEST / LIMIT_RATIO
+    at_limit = not SLOWEST_LEVEL_VELOCITY * LIMIT_RATIO < velocity < FASTEST / LIMIT_RATIO
     return Prediction(velocity, gain, cents, error, int(chosen.sum()), level, note, at_limit)
 
 
@@ -147,7 +147,7 @@ def _same_key_analysis(source: Analysis | Source, note: Note) -> Analysis:
         recording = to_recording(source)
         name, analysis = printable(recording.path), _analyse_near(recording, note.f0)
     if analysis is not None:
-        if abs(cents_above(analysis.f0, note.f0)) <= SAME_KEY:
+        if abs(cents_above(analysis.f0, note.f0)) <= SAME_KEY_CENTS:
             return analysis
         detected = f", but {hz_to_note(analysis.f0)} ({analysis.f0:.1f} Hz)"
     raise WrongNoteError(
@@ -185,10 +185,10 @@ def _fit_velocity(
         residual = np.where(finite[:, None], p.level - level, 0.0)[:, chosen]
         gain = residual.mean(axis=1)
         misfit = 0.5 * ((residual - gain[:, None]) ** 2).sum(axis=1) / LEVEL.median[0] ** 2
-        prior = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
+        prior = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SD) ** 2
         return np.where(finite, misfit + prior - np.array([log_gain(x, gains) for x in gain]), np.inf), level, gain
 
-    grid = np.log(np.geomspace(SLOWEST, FASTEST, GRID_SIZE))
+    grid = np.log(np.geomspace(SLOWEST_LEVEL_VELOCITY, FASTEST, GRID_SIZE))
     value = cost(grid)[0]
     grid, value = grid[np.isfinite(value)], value[np.isfinite(value)]
     if not len(grid):
@@ -204,7 +204,7 @@ def _detected(note: Note, number: np.ndarray) -> np.ndarray:
     """True for partials that the fit observed [partials]; the output path is unknown at the others."""
     if note.path is None:
         return np.ones(len(number), bool)
-    return np.abs(np.log(_frequency(note, number)[:, None] / note.path.frequency)).min(axis=1) < SAME_PARTIAL
+    return np.abs(np.log(_frequency(note, number)[:, None] / note.path.frequency)).min(axis=1) < SAME_PARTIAL_TOLERANCE
 
 
 def _frequency(note: Note, number: np.ndarray) -> np.ndarray:

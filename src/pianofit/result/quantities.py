@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..conversions import NORMAL
-from ..felt import BOXES
+from ..conversions import HALF_WIDTH_95
+from ..felt import ALL_PARAMETERS
 from ..io.number_format import format_with_interval
 from ..io.table_output import data_frame, html_table, write_csv
 from .uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
@@ -27,14 +27,18 @@ SIZES = {
     "L": ("m", "length of the string"),
     "pickup": ("m", "position of the pickup, from the agraffe"),
 }
-UNITS = {name: p.unit for name, p in BOXES.items()} | {name: unit for name, (unit, _) in SIZES.items()}
-MEANINGS = {name: p.meaning for name, p in BOXES.items()} | {name: text for name, (_, text) in SIZES.items()} | {
-    "f0": "fundamental frequency of the string without stiffness",
-    "B": "inharmonicity",
-    "M_H/M_S": "hammer mass over string mass",
-    "x0/L": "strike position over string length",
-    "F/M_S": "static felt force at the reference compression, over the string mass",
-}  # fmt: skip
+UNITS = {name: p.unit for name, p in ALL_PARAMETERS.items()} | {name: unit for name, (unit, _) in SIZES.items()}
+MEANINGS = (
+    {name: p.meaning for name, p in ALL_PARAMETERS.items()}
+    | {name: text for name, (_, text) in SIZES.items()}
+    | {
+        "f0": "fundamental frequency of the string without stiffness",
+        "B": "inharmonicity",
+        "M_H/M_S": "hammer mass over string mass",
+        "x0/L": "strike position over string length",
+        "F/M_S": "static felt force at the reference compression, over the string mass",
+    }
+)
 # Largest distance of a value from the middle of its interval, relative to half of the interval, for which a standard
 # uncertainty is stated. A Gaussian of the logarithm reaches it at a standard deviation of 10 %.
 MAX_ASYMMETRY = 0.1
@@ -83,7 +87,7 @@ class Quantity:
         low, high = self.interval
         half = (high - low) / 2
         middle = abs((low + high) / 2 - self.value)
-        return half / NORMAL if 0 < half < math.inf and middle <= MAX_ASYMMETRY * half else None
+        return half / HALF_WIDTH_95 if 0 < half < math.inf and middle <= MAX_ASYMMETRY * half else None
 
     def __float__(self) -> float:
         return float(self.value)

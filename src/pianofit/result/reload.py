@@ -14,8 +14,8 @@ import numpy as np
 
 from ..analysis import Analysis, analyse
 from ..errors import AnalysisError, FitError, ParameterError, RecordingError
-from ..fit_file import HINT, read_path
-from ..io.files import array_of, printable, reference_of, require_finite, table_of
+from ..fit_file import HINT, read_output_path
+from ..io.files import array_of, printable, reference_row, require_finite, require_table
 from ..model.note import Note
 from ..parameters import STRING_NAMES, String, check
 from ..recording.recording import Recording, Source, to_recording
@@ -23,7 +23,7 @@ from ..threads import one_blas_thread
 from .comparison import RecordingComparison
 from .result import FittedRecording, Result
 
-__all__ = ["every_note", "initial_note", "levels_of", "reload_recordings"]
+__all__ = ["every_note", "initial_note", "stored_levels", "reload_recordings"]
 
 _FIT_AGAIN = "fit the recordings again"
 # Largest distance of the analysed pitch from that of the fitted string, cents.
@@ -64,7 +64,7 @@ def _velocities(document: dict[str, Any], rows: list[dict], which: int, default:
 
 def _note_of_row(document: dict[str, Any], index: int, note: Note, velocity: Any, name: str) -> Note:
     """The note of recording `index`, from the `note` of the reference recording."""
-    (first, reference), row = reference_of(document["recordings"]), document["recordings"][index]
+    (first, reference), row = reference_row(document["recordings"]), document["recordings"][index]
     where = f"{name}: recordings[{index}]"
     if index == first:
         return note
@@ -82,7 +82,7 @@ def _note_of_row(document: dict[str, Any], index: int, note: Note, velocity: Any
         return tuned
     paths = document["pickup"].get("paths")
     path = paths.get(str(row.get("group"))) if isinstance(paths, dict) else None
-    return tuned._replace(path=read_path(path, f"{name}: pickup.paths", HINT), ringing=None)
+    return tuned._replace(path=read_output_path(path, f"{name}: pickup.paths", HINT), ringing=None)
 
 
 def initial_note(result: Result, index: int) -> Note:
@@ -110,7 +110,7 @@ def initial_note(result: Result, index: int) -> Note:
     return Note(string, hammer, geometry, note.quantity, 1.0)
 
 
-def levels_of(document: dict[str, Any], index: int) -> dict[str, np.ndarray]:
+def stored_levels(document: dict[str, Any], index: int) -> dict[str, np.ndarray]:
     """The compared levels of one recording, dB [partials], by `COLUMNS`.
 
     Raises
@@ -186,20 +186,20 @@ def _analyse_fitted_note(recording: Recording, row: dict, note: Note) -> Analysi
 def _compare(result: Result, index: int, recording: Recording, analysis: Analysis) -> FittedRecording:
     """Compare one recording with the model, as during the fit."""
     row, note = result.document["recordings"][index], result.minima_notes[0][index]
-    stored = levels_of(result.document, index)
+    stored = stored_levels(result.document, index)
     gain = float(note.gain) if row.get("gain_status") == "given" else None
     comparison = RecordingComparison.of(recording, analysis, None if gain is None else 1.0 / gain)
     plain = note._replace(gain=1.0, ringing=None)
-    begins = None if gain is None else comparison.begins(plain)
+    begins = None if gain is None else comparison.contact_onset(plain)
     sounds = {
-        "initial": comparison.play(initial_note(result, index), gain, begins, comparison.level),
-        "fitted": comparison.play(plain, float(note.gain), begins, comparison.level),
+        "initial": comparison.render(initial_note(result, index), gain, begins, comparison.level),
+        "fitted": comparison.render(plain, float(note.gain), begins, comparison.level),
     }
     initial, fitted = (
-        replace(sound, level=comparison.at(stored[name], stored["number"].astype(int)))
+        replace(sound, level=comparison.levels_at_partials(stored[name], stored["number"].astype(int)))
         for name, sound in sounds.items()
     )
-    criterion, levels = (table_of(row, key, f"recordings[{index}]", HINT) for key in ("criterion", "levels"))
+    criterion, levels = (require_table(row, key, f"recordings[{index}]", HINT) for key in ("criterion", "levels"))
     compared = FittedRecording(initial, fitted, comparison.level, recording, analysis, criterion, levels)
     return compared if note.ringing is None else compared.ringing_by(note.ringing, _contact_delay(result, index))
 

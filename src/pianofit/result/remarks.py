@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..analysis import Analysis, beating_warning, count_beating
-from ..conversions import BEAT
+from ..conversions import BEATING_DB
 from ..io.files import printable
 from ..recording.recording import Recording
 
@@ -52,6 +52,6 @@ def _beating(names: Sequence[str], analyses: Sequence[Analysis]) -> list[str]:
         return []
     return [
         f"Beating in {len(beating)} of {len(names)} recordings: {', '.join(beating)}. These partials deviate from an "
-        f"exponential decay by more than {BEAT:g} dB. Possible causes are several strings, two polarisations, or a "
-        "note that was damped or cut."
+        f"exponential decay by more than {BEATING_DB:g} dB. Possible causes are several strings, two polarisations, or "
+        "a note that was damped or cut."
     ]

@@ -15,8 +15,8 @@ import numpy as np
 from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..fit_file import fit_path, gains_of, mixture_of, read_fit
-from ..io.files import printable, reference_of
+from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
+from ..io.files import printable, reference_row
 from ..io.number_format import counted
 from ..model import Simulation
 from ..model.modal_response import ModalResponse
@@ -62,7 +62,7 @@ class FittedRecording:
         return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
 
     @property
-    def as_played(self) -> RenderedFit:
+    def final(self) -> RenderedFit:
         """The fitted sound: with the modal response if the fit has one, else with the string model only."""
         return self.ringing or self.fitted
 
@@ -77,8 +77,8 @@ class FittedRecording:
     @property
     def sound(self) -> np.ndarray:
         """Samples of `as_played` for a file [samples] or [channels, samples]."""
-        frames = self.as_played.frames
-        return self.as_played.samples if frames is None or len(frames) == 1 else frames
+        frames = self.final.frames
+        return self.final.samples if frames is None or len(frames) == 1 else frames
 
     @property
     def partials(self) -> Partials:
@@ -140,7 +140,7 @@ class Result:
     @property
     def gains(self) -> tuple[float, ...]:
         """Gains of the recordings in the path group of the reference recording, dB relative to it."""
-        return gains_of(self.document)
+        return relative_gains(self.document)
 
     @property
     def covariance(self) -> Covariance:
@@ -356,10 +356,10 @@ class Result:
         """
         path = fit_path(folder)
         document, name = read_fit(path), printable(path)
-        weights, mixture = zip(*mixture_of(document, path, felt), strict=True)
+        weights, mixture = zip(*notes_of_minima(document, path, felt), strict=True)
         from .reload import every_note
 
-        notes, (first, _) = every_note(document, mixture, name), reference_of(document["recordings"])
+        notes, (first, _) = every_note(document, mixture, name), reference_row(document["recordings"])
         invariants = document.get("invariants")
         draws = read_draws(document.get("draws"), path.parent, invariants if isinstance(invariants, dict) else {})
         result = cls(document, (), first, notes, weights, draws, path.parent)

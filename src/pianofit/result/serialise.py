@@ -20,13 +20,13 @@ from .result import FittedRecording
 __all__ = [
     "to_document",
     "unit_and_meaning",
-    "entry",
-    "fixed_entry",
+    "parameter_row",
+    "fixed_parameter_row",
     "no_interval",
     "path_document",
-    "recording_entry",
+    "recording_row",
     "sizes",
-    "wander_document",
+    "velocity_discrepancy_document",
 ]
 
 
@@ -81,7 +81,7 @@ def no_interval() -> dict:
     return {"interval": None, "interval_by": None, "interval_open": []}
 
 
-def entry(
+def parameter_row(
     value: float, description: dict, status: str, initial: float, note: str = "", interval: dict | None = None
 ) -> dict:
     """A row of `parameters`; `description` has its unit and meaning."""
@@ -89,20 +89,20 @@ def entry(
     return {"value": value, **description, **span, "status": status, "initial": initial, "note": note}
 
 
-def fixed_entry(value: float, name: str, status: str) -> dict:
+def fixed_parameter_row(value: float, name: str, status: str) -> dict:
     """A row of `parameters` for a value that was not fitted."""
-    return entry(float(value), {"unit": UNITS[name]}, status, float(value))
+    return parameter_row(float(value), {"unit": UNITS[name]}, status, float(value))
 
 
 def sizes(start: InitialValues) -> dict[str, dict]:
     """Rows of `parameters` for string length, string mass and pickup position."""
     g = start.geometry
     table = {
-        name: fixed_entry(value, name, "assumed" if key in start.assumed else "given")
+        name: fixed_parameter_row(value, name, "assumed" if key in start.assumed else "given")
         for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
     }
     if start.quantity in ("velocity", "displacement"):
-        table["pickup"] = fixed_entry(g.pickup, "pickup", "given")
+        table["pickup"] = fixed_parameter_row(g.pickup, "pickup", "given")
     return table
 
 
@@ -113,7 +113,7 @@ def unit_and_meaning(name: str, law: FeltLaw) -> dict[str, str]:
     return {"unit": law.parameters[name].unit} | ({} if is_builtin(law) else {"meaning": law.parameters[name].meaning})
 
 
-def recording_entry(
+def recording_row(
     recording: FittedRecording, velocity: dict, calibrated: bool, *, first: bool = True, cents: float = 0.0,
     group: int = 0, stroke: int = 0,
 ) -> dict:  # fmt: skip
@@ -145,10 +145,14 @@ def path_document(path: OutputPath | None) -> dict | None:
         return None
     columns = {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
     columns |= {} if path.decay is None else {"decay": path.decay.tolist()}
-    return columns | ({} if path.wander is None else {"wander": wander_document(path.wander)})
+    return columns | (
+        {}
+        if path.velocity_discrepancy is None
+        else {"wander": velocity_discrepancy_document(path.velocity_discrepancy)}
+    )
 
 
-def wander_document(wander: VelocityDiscrepancy | None) -> dict | None:
+def velocity_discrepancy_document(wander: VelocityDiscrepancy | None) -> dict | None:
     """The entry of a velocity discrepancy; None if there is none."""
     return None if wander is None else {name: column.tolist() for name, column in wander._asdict().items()}
 

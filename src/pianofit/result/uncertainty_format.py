@@ -17,7 +17,7 @@ from decimal import Decimal
 from typing import NamedTuple
 
 from ..errors import ParameterError
-from ..io.number_format import RAISED, format_with_interval
+from ..io.number_format import SUPERSCRIPTS, format_with_interval
 
 __all__ = ["Spec", "latex_name", "latex_unit", "parse_format_spec", "format_interval", "format_with_sd"]
 
@@ -143,7 +143,7 @@ def _superscript(text: str, style: str) -> str:
     if "L" in style:
         return POWER.sub(lambda match: rf" \times 10^{{{int(match[1])}}}", text)
     if "P" in style:
-        return POWER.sub(lambda match: f"×10{str(int(match[1])).translate(RAISED)}", text)
+        return POWER.sub(lambda match: f"×10{str(int(match[1])).translate(SUPERSCRIPTS)}", text)
     return text
 
 

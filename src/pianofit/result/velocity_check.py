@@ -81,7 +81,7 @@ def contradictory_velocities(fit: InferenceResult) -> list[str]:
 
 def _measured(problem: FitProblem) -> Iterator[list[tuple[float, int]]]:
     """For each output path: velocity, m/s, and index of its recordings with a measured velocity, slowest first."""
-    layout = problem.layout
+    layout = problem.structure
     for group in sorted(set(layout.group)):
         speeds = [(problem.measured_velocity[s], i) for i, s in enumerate(layout.stroke) if layout.group[i] == group]
         yield sorted((v, i) for v, i in speeds if v is not None)
@@ -103,20 +103,20 @@ def _contradictions(problem: FitProblem, group: Sequence[tuple[float, int]]) -> 
 
 
 def _named(problem: FitProblem, recording: int) -> str:
-    speed = problem.measured_velocity[problem.layout.stroke[recording]]
+    speed = problem.measured_velocity[problem.structure.stroke[recording]]
     return f"{printable(Path(problem.recordings[recording].path).name)} ({speed:g} m/s)"
 
 
 def _implausible_exponent(fit: InferenceResult, given: Sequence[float]) -> list[str]:
     """A warning about a felt exponent outside the range of felts, which a wrong ratio of velocities explains."""
-    u = fit.problem.unknowns
+    u = fit.problem.parametrisation
     if u.force_and_exponent_index is None or not u.free[exponent := u.force_and_exponent_index[1]]:
         return []
-    z_score = float(fit.found.z[exponent] - u.mean[exponent]) / float(u.sd[exponent])
+    z_score = float(fit.estimate.theta[exponent] - u.mean[exponent]) / float(u.sd[exponent])
     if abs(z_score) < EXPONENT_Z:
         return []
     side, differ = ("above", "less") if z_score > 0 else ("below", "more")
     return [
-        f"The felt exponent {u.names[exponent]} = {np.exp(fit.found.z[exponent]):.2g} is {side} the range of felts. "
-        f"The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. Check them."
+        f"The felt exponent {u.names[exponent]} = {np.exp(fit.estimate.theta[exponent]):.2g} is {side} the range of "
+        f"felts. The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. Check them."
     ]

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["NOTHING", "stroke_deviations", "smooth_random_walk"]
+__all__ = ["UNINFORMATIVE_ERROR", "stroke_deviations", "smooth_random_walk"]
 
 # Grid of standard deviations, relative (0.1 to 9 dB), for the walk over an e-fold of velocity and for the scatter of a
 # stroke. The prior is uniform in the logarithm.
 GRID = np.geomspace(0.01, 1.0, 9)
 # Standard error of an observation without information.
-NOTHING = 1e3
+UNINFORMATIVE_ERROR = 1e3
 
 
 def smooth_random_walk(observed: np.ndarray, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:

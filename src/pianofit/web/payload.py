@@ -17,12 +17,12 @@ from ..analysis.note_names import midi_to_note
 from ..errors import ParameterError
 from ..instrument.collect_fits import reference_compression
 from ..instrument.document import Instrument
-from ..model.modal_response import ModalResponse, resampled
+from ..model.modal_response import ModalResponse, resample
 from ..model.note import Note
 from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
 
-__all__ = ["Knocks", "encode_note", "intervals", "payload"]
+__all__ = ["KnockEncoding", "encode_note", "intervals", "encode_instrument"]
 
 # Samples of a knock that share a scale.
 SCALE_BLOCK = 256
@@ -33,7 +33,7 @@ SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "i
 LOSSES = ("b1", "d2")
 
 
-class Knocks(NamedTuple):
+class KnockEncoding(NamedTuple):
     """Encoding of knocks."""
 
     rate: float  # highest sample rate, Hz
@@ -41,17 +41,21 @@ class Knocks(NamedTuple):
 
 
 # From the best to the smallest. The rate of a knock is never raised.
-LADDER = (Knocks(math.inf, 16), Knocks(KNOCK_RATES[0], 16), *(Knocks(rate, 8) for rate in KNOCK_RATES))
+KNOCK_ENCODINGS = (
+    KnockEncoding(math.inf, 16),
+    KnockEncoding(KNOCK_RATES[0], 16),
+    *(KnockEncoding(rate, 8) for rate in KNOCK_RATES),
+)
 
 
-def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
+def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], KnockEncoding | None]:
     """Encode an instrument for the scripts of the page; also return the encoding of its knocks, if it has any.
 
     Raises `ParameterError` if a felt law cannot be played, or the document exceeds `most_bytes`.
     """
     rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
     size = 0
-    for kept in LADDER if rates else LADDER[:1]:
+    for kept in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
         document = _document(instrument, kept)
         size = len(json.dumps(document))
         if size <= most_bytes:
@@ -62,7 +66,7 @@ def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Kn
     )
 
 
-def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
+def _document(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
     return {
         "name": instrument.name,
         "velocity": {"at_64": instrument.velocity_at_64, "rise": instrument.velocity_slope},
@@ -104,7 +108,7 @@ def intervals(laws: Mapping[str, tuple[float, float, float]]) -> dict[str, list[
     return by_slider
 
 
-def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
+def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0]) -> dict[str, Any]:
     """Encode one key for `prepare.js`.
 
     Raises `ParameterError` for a felt law other than Hunt-Crossley and the power law.
@@ -129,12 +133,12 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
     return entry
 
 
-def _ringing(ringing: ModalResponse, knocks: Knocks) -> dict[str, Any]:
+def _ringing(ringing: ModalResponse, knocks: KnockEncoding) -> dict[str, Any]:
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
     knock, rate = ringing.knock[:CHANNELS], ringing.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
-        knock = resampled(knock, ringing.rate, rate)
+        knock = resample(knock, ringing.rate, rate)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
         "pattern": _rows(ringing.pattern[:CHANNELS]),
@@ -145,7 +149,7 @@ def _ringing(ringing: ModalResponse, knocks: Knocks) -> dict[str, Any]:
 
 def _participation(ringing: ModalResponse) -> dict[str, Any] | None:
     """Encode velocity gains as 16-bit integers with a scale. With many strokes they dominate the size of the modes."""
-    part = ringing.participation
+    part = ringing.velocity_gain
     if part is None:
         return None
     scale = max(float(np.abs([np.real(part.factor), np.imag(part.factor)]).max()), 1e-30) / (2**15 - 1)

@@ -17,7 +17,7 @@ from ..model.note import Note
 from .payload import encode_note
 from .write import engine_source, script_source
 
-__all__ = ["front_end", "instrument_of", "widget"]
+__all__ = ["front_end", "note_payload", "widget"]
 
 
 def widget(note: Note) -> Any:
@@ -25,7 +25,7 @@ def widget(note: Note) -> Any:
 
     Raises `ParameterError` if anywidget is not installed, or a page cannot play the felt law of the note.
     """
-    return _widget_class()(instrument=instrument_of(note))
+    return _widget_class()(instrument=note_payload(note))
 
 
 @functools.cache
@@ -52,7 +52,7 @@ def front_end() -> str:
     return f"const CODE = {code};\n{script_source('player.js')}\n{script_source('widget.js')}"
 
 
-def instrument_of(note: Note) -> dict[str, Any]:
+def note_payload(note: Note) -> dict[str, Any]:
     """Payload of an instrument with one key, the nearest to the pitch of the note."""
     f0 = float(note.f0)
     midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)

@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 from ..instrument.document import Instrument
 from ..instrument.text import unrecorded_text
 from ..report import html
-from .payload import Knocks, payload
+from .payload import KnockEncoding, encode_instrument
 from .recordings import recorded_layers
 
-__all__ = ["LARGEST_PAGE", "Page", "engine_source", "script_source", "write_page"]
+__all__ = ["PAGE_BYTES", "PageSummary", "engine_source", "script_source", "write_page"]
 
 # Bytes: small enough for an e-mail, and for a browser to open without delay.
-LARGEST_PAGE = 1_500_000
+PAGE_BYTES = 1_500_000
 # Bytes reserved for scripts, styles and text: 131,000 today, with a margin.
-OWN = 135_000
+SCRIPT_BYTES = 135_000
 # Modules without a user interface. Joined into one, they are loaded by both the main and the audio thread.
 ENGINE = (
     "signal.js", "contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "instrument.js",
@@ -30,18 +30,18 @@ IMPORT = re.compile(r'^import [^;]* from "\./\w+\.js";\n', re.MULTILINE)
 PACKAGE = "pianofit.web"
 
 
-class Page(NamedTuple):
+class PageSummary(NamedTuple):
     """Contents of the written page."""
 
     keys: int
     recorded: int
     between: int  # keys that are guesses, between recorded keys
     beyond: int  # keys that are guesses, beyond the recorded range
-    knocks: Knocks | None  # encoding of knocks, if the instrument has any
+    knocks: KnockEncoding | None  # encoding of knocks, if the instrument has any
     layers: int  # recordings in the page
 
 
-def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> Page:
+def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> PageSummary:
     """Write the page of an instrument, of at most 1.5 MB, completely or not at all.
 
     Parameters
@@ -52,7 +52,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     Raises `FitError` if requested recordings are missing, and `OutputError` if `path` cannot be written.
     """
     between, beyond = instrument.unrecorded_counts
-    document, knocks = payload(instrument, LARGEST_PAGE - OWN)
+    document, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
     content: dict[str, Any] = {
         "instrument": document,
         "modules": {"engine": engine_source(), "worklet": script_source("worklet.js")},
@@ -64,7 +64,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
         path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",),
         scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS, title=instrument.name or "Piano", **content,
     )  # fmt: skip
-    return Page(
+    return PageSummary(
         len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
     )
 

@@ -20,7 +20,7 @@ from scipy.ndimage import minimum_filter
 from ...inference.initial_values import starting_values
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ..annealing import anneal
-from ..descent import Descended, LeastSquares, gradient_descent
+from ..descent import DescentResult, LeastSquares, gradient_descent
 from ..laboratory import INITIAL
 from ..search import make_search
 from .strokes import Stroke
@@ -58,7 +58,9 @@ class CriterionPlane(NamedTuple):
     first: np.ndarray  # log of the first coordinate over its true value [n]
     second: np.ndarray
     criterion: np.ndarray  # [n, n]
-    minima: list[Descended]  # z [2] in the units of `first` and `second`; confirmed by least squares from grid minima
+    minima: list[
+        DescentResult
+    ]  # z [2] in the units of `first` and `second`; confirmed by least squares from grid minima
 
 
 class SearchComparison(NamedTuple):
@@ -66,7 +68,7 @@ class SearchComparison(NamedTuple):
 
     ends: dict[str, np.ndarray]  # start, gradient, squares, annealed, polished (by squares) -> criteria [starts]
     converged: int  # number of gradient searches that converged
-    minima: list[Descended]  # different ends of the least squares inside the box
+    minima: list[DescentResult]  # different ends of the least squares inside the box
     evaluations: dict[str, int]
 
     @property
@@ -113,7 +115,7 @@ def search_comparison(
     search, lower, upper = problem.search, problem.search.lower, problem.search.upper
     z = np.random.default_rng(seed).uniform(lower, upper, (starts, len(HAMMERS)))
     z[0] = problem.initial
-    descents = [gradient_descent(search.slope, row, lower, upper, iterations=iterations) for row in z]
+    descents = [gradient_descent(search.value_and_gradient, row, lower, upper, iterations=iterations) for row in z]
     squares = _descended(search, z)
     annealings = [
         anneal(search.costs, lower, upper, chains=CHAINS, evaluations=evaluations, seed=seed + n, start=row)
@@ -131,14 +133,14 @@ def search_comparison(
     )  # fmt: skip
 
 
-def _descended(search: LeastSquares, z: np.ndarray) -> list[Descended]:
+def _descended(search: LeastSquares, z: np.ndarray) -> list[DescentResult]:
     """Run least squares in the box from every row of `z` [n, 5]."""
-    return [search.finished(row, evaluations=SQUARES) for row in z]
+    return [search.minimise(row, evaluations=SQUARES) for row in z]
 
 
-def _distinct(ends: list[Descended]) -> list[Descended]:
+def _distinct(ends: list[DescentResult]) -> list[DescentResult]:
     """Return the different minima, the deepest first."""
-    kept: list[Descended] = []
+    kept: list[DescentResult] = []
     for end in sorted(ends, key=lambda e: e.cost):
         if all(np.abs(end.z - other.z).max() > APART for other in kept):
             kept.append(end)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from ...criterion import Cells, band_values, line_sigma, measure
+from ...criterion import SpectralCells, band_values, damping_for, measure
 from ...model import mode_table, simulate
 from ...parameters import String
 from ..laboratory import FINAL, SyntheticMeasurement, chosen
@@ -112,10 +112,10 @@ def b2_sensitivity(lab: SyntheticMeasurement, seed: int, *, repeats: int, values
     c, kappa, _, true = map(float, FINAL.string)
     f0, B = float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
 
-    def energies(sound: np.ndarray) -> tuple[Cells, np.ndarray]:
-        return measure(sound, chosen.RATE, f0, B, int(ALL[-1]), line_sigma(f0))
+    def energies(sound: np.ndarray) -> tuple[SpectralCells, np.ndarray]:
+        return measure(sound, chosen.RATE, f0, B, int(ALL[-1]), damping_for(f0))
 
-    def by_model(b2: float) -> tuple[Cells, np.ndarray]:
+    def by_model(b2: float) -> tuple[SpectralCells, np.ndarray]:
         string = FINAL.string._replace(b2=b2)
         simulation = simulate(string, FINAL.hammer, FINAL.geometry, rate=chosen.RATE, oversampling=OVERSAMPLING)
         return energies(simulation.waveform(chosen.RATE, round(lab.seconds * chosen.RATE)))

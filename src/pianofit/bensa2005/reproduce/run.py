@@ -10,7 +10,7 @@ import numpy as np
 from ... import __version__
 from ...io.files import encode_wav, replace_file, write_error
 from ...io.table_output import write_csv
-from ...listening.page import Question, TestSound, write_listening
+from ...listening.page import ListeningSound, Question, write_listening
 from ...model.program_cache import enable_program_cache
 from ...parameters import PARAMETERS
 from ...report.drawing import page_style, png, svg
@@ -118,7 +118,7 @@ def _write_test(folder: Path, f: Findings) -> None:
     questions, rate = [], f.origin.recording.rate
     for velocity in f.plan.listening:
         sounds = {
-            name: TestSound(SOUNDS[name], f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
+            name: ListeningSound(SOUNDS[name], f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
             for name, x in f.strokes[velocity].sounds.items()
         }
         questions += [Question(sounds["measured"], (sounds[a], sounds[b])) for a, b in PAIRS if a in sounds]

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...analysis import Analysis, analyse, law_frequency
-from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
+from ...criterion import BANDS, SpectralCells, band_of, band_values, damping_for, measure
 from ...errors import ParameterError
 from ...inference import run_inference
 from ...inference.initial_values import starting_values
@@ -81,13 +81,13 @@ class Stroke:
         return replace(self, sounds={"measured": self.sounds["measured"]} | sounds, results=results)
 
     @cached_property
-    def spectrum(self) -> tuple[Cells, np.ndarray]:
+    def spectrum(self) -> tuple[SpectralCells, np.ndarray]:
         """The criterion's cells, and |S|² [partials, nodes] there."""
         return self._spectrum(self.sounds["measured"])
 
-    def _spectrum(self, sound: np.ndarray) -> tuple[Cells, np.ndarray]:
+    def _spectrum(self, sound: np.ndarray) -> tuple[SpectralCells, np.ndarray]:
         a = self.analysis
-        return measure(sound, self.recording.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
+        return measure(sound, self.recording.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
     def played(self, note: Note) -> np.ndarray:
         """Return the sound of a note, aligned with the onset of the measurement."""

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.signal import fftconvolve, resample_poly
 
 from ...instrument.document import Instrument
-from ...model.modal_response import EDGE
+from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
-from ...playback.repeated_strike import StringTables, stroke, table_of
+from ...playback.repeated_strike import StringTables, strike_string, string_tables
 
 __all__ = ["MARGIN", "RATE", "VELOCITIES", "KeyTables", "LowRankSignals", "tabulate_key", "tabulate_knock"]
 
@@ -89,18 +89,18 @@ class KeyTables(NamedTuple):
 def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: int) -> KeyTables:
     """Tables of a key with at most `most_modes` modes, the loudest."""
     note = instrument.note(midi, 64)
-    table = table_of(note, RATE)
+    table = string_tables(note, RATE)
     at_rest = np.zeros(len(table.pole), complex)
     hammers = [instrument.note(midi, int(velocity)).hammer for velocity in VELOCITIES]
     forces = []
     for hammer in hammers:
-        drive, force = stroke(table, hammer, at_rest, f"key {midi}")
-        force = force if note.ringing is not None else force._replace(newton=drive)
+        drive, force = strike_string(table, hammer, at_rest, f"key {midi}")
+        force = force if note.ringing is not None else force._replace(force=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
     force = np.stack([np.pad(x, (MARGIN, size - len(x) + MARGIN)) for x in forces])
     pole, pattern, measured, participation = _modes(note, table)
-    excitation = force @ np.exp(-np.outer(np.arange(force.shape[1]) - EDGE - MARGIN, pole) / RATE) / RATE
+    excitation = force @ np.exp(-np.outer(np.arange(force.shape[1]) - FILTER_REACH - MARGIN, pole) / RATE) / RATE
     kept = _loudest(excitation, pole, pattern, most_modes)
     factors = _factorise(force[None], _basis(force, excitation[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
     velocities = [hammer.v_H0 for hammer in hammers]
@@ -123,7 +123,7 @@ def _modes(note: Note, table: StringTables) -> tuple[np.ndarray, np.ndarray, np.
     """
     if note.ringing is not None:
         response = note.ringing.scale_gain(note.gain).at(RATE)
-        pole, pattern, part = response.pole, response.pattern, response.participation
+        pole, pattern, part = response.pole, response.pattern, response.velocity_gain
     else:
         pole, pattern = table.pole, table.drive[None] * table.rate
         part = None
@@ -201,7 +201,7 @@ def _knock(
         return np.ones(len(force)), np.zeros((len(force), KNOCK_SHAPES)), np.zeros((channels, KNOCK_SHAPES, 0))
     response = note.ringing.scale_gain(note.gain).at(RATE)
     kernel = np.stack([response.attack_noise(v)[:channels] for v in velocities], axis=1)
-    sound = fftconvolve(kernel, force[None] / RATE, axes=-1)[..., EDGE + MARGIN :]
+    sound = fftconvolve(kernel, force[None] / RATE, axes=-1)[..., FILTER_REACH + MARGIN :]
     normalised = sound / np.sqrt(np.mean(sound**2, axis=(0, 2)))[:, None]
     _, u = np.linalg.eigh(np.einsum("cvn,cwn->vw", normalised, normalised))
     loud, u, shape = _factorise(sound, u[:, : -KNOCK_SHAPES - 1 : -1])

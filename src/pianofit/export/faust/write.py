@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import ParameterError
 from ...instrument.document import Instrument
 from ...io.files import PEAK_LIMIT, printable, replace_file
-from ...model.modal_response import EDGE
+from ...model.modal_response import FILTER_REACH
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice, damper_rate
 from ...report.html import asset
 from ...threads import one_blas_thread
@@ -21,7 +21,7 @@ from ..layers import LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
 
-__all__ = ["MODES", "Program", "write_faust"]
+__all__ = ["MODES", "FaustSummary", "write_faust"]
 
 # Largest number of resonators per voice: 16 voices then use a quarter of one core, see benchmarks/faust.py.
 MODES = 128
@@ -32,15 +32,15 @@ MOST_NUMBERS = 2_500_000
 MIDI_KEYS = 128
 
 
-class Program(NamedTuple):
+class FaustSummary(NamedTuple):
     """Contents of the written program."""
 
     keys: int  # keys with tables
-    guesses: int  # keys with tables that were never recorded
+    unrecorded: int  # keys with tables that were never recorded
     modes: int  # resonators per voice
-    left_out: int  # modes beyond that number, over all keys
+    omitted_modes: int  # modes beyond that number, over all keys
     knock_rate: int | None  # Hz; None without knocks, or if they exceed the table size
-    numbers: int  # entries of all tables
+    table_entries: int  # entries of all tables
     gain_db: float  # of all keys
 
 
@@ -48,7 +48,7 @@ class Program(NamedTuple):
 def write_faust(
     path: str | os.PathLike[str], instrument: Instrument, keys: Sequence[int], *, licence: str | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
-) -> Program:  # fmt: skip
+) -> FaustSummary:  # fmt: skip
     """Write `path`, a .dsp, completely or not at all. The loudest stroke of the loudest key peaks at -1 dBFS.
 
     Raises `ParameterError` for a key that the instrument lacks, a felt law that cannot be played, or tables that are
@@ -73,7 +73,7 @@ def write_faust(
     ]
     text = _text(instrument, definitions, key_tables, channels, rate, licence)
     replace_file(path, text.encode())
-    return Program(
+    return FaustSummary(
         len(keys), len(instrument.unrecorded_keys(keys)), modes, sum(key.left_out for key in key_tables), rate, numbers,
         20 * math.log10(gain),
     )  # fmt: skip
@@ -100,13 +100,21 @@ def _text(
 ) -> str:  # fmt: skip
     modes = max(len(key.pole) for key in key_tables)
     return Template(asset("instrument.dsp", "pianofit.export.faust")).substitute(
-        name=_quoted(instrument.name or "piano"), licence=_quoted(licence or "not given"),
-        channels=channels, groups=-(-modes // GROUP), group=GROUP, velocities=len(VELOCITIES), rate=RATE,
-        rank=max(len(key.force.scale) for key in key_tables), knock_rank=KNOCK_SHAPES, knock_rate=knock_rate or RATE,
+        name=_quoted(instrument.name or "piano"),
+        licence=_quoted(licence or "not given"),
+        channels=channels,
+        groups=-(-modes // GROUP),
+        group=GROUP,
+        velocities=len(VELOCITIES),
+        rate=RATE,
+        rank=max(len(key.force.scale) for key in key_tables),
+        knock_rank=KNOCK_SHAPES,
+        knock_rate=knock_rate or RATE,
         margin=MARGIN,
-        touch=_digits(max(instrument.lead - EDGE / RATE, 0.0) - MARGIN / RATE), tables="\n".join(definitions),
+        touch=_digits(max(instrument.pre_onset_s - FILTER_REACH / RATE, 0.0) - MARGIN / RATE),
+        tables="\n".join(definitions),
         knock="+(knock(c))" if knock_rate else "_",
-    )  # fmt: skip
+    )
 
 
 def _key_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], channels: int, gain: float) -> Iterator[str]:
