@@ -218,7 +218,7 @@ def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_pa
     (running,) = [key for key in state["keys"] if key["state"] == "running"]
     assert progress.running == (("B0", "hammer"),)
     assert (running["key"], running["stage"]) == ("B0", "hammer")
-    assert 0 <= time.time() - running["began"] < 60
+    assert 0 <= time.time() - running["started"] < 60
     after = status(tmp_path / "out")
     assert [key["stage"] for key in after["keys"]] == ["", "", ""]
     assert after["seconds_left"] is None

@@ -76,7 +76,7 @@ def test_a_file_of_it_plays_with_the_law_and_says_so_without(example):
     law = names["HARDENING"]
     assert "rendered: 44100 samples" in text
     note, rate = pianofit.load_note(folder / "fit.json", felt=law)
-    assert (type(note.hammer), rate) == (law.kind, 44_100)
+    assert (type(note.hammer), rate) == (law.hammer_type, 44_100)
     table = json.loads((folder / "fit.json").read_text())["parameters"]
     assert {name: getattr(note.hammer, name) for name in law.parameters} == {
         name: table[name]["value"] for name in law.parameters

@@ -163,7 +163,7 @@ def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, 
     for group, word in ((0, "its own group"), (1, "has a group of its own")):
         layout = SimpleNamespace(group=[i * group for i in range(len(errors))])
         warnings = _outlying_recordings(
-            SimpleNamespace(problem=SimpleNamespace(recordings=recordings, layout=layout)), errors
+            SimpleNamespace(problem=SimpleNamespace(recordings=recordings, structure=layout)), errors
         )
         assert [text.split(":")[0] for text in warnings] == [f"layer-{i}.wav" for i in named]
         assert all(word in text for text in warnings)
@@ -178,17 +178,22 @@ def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared
     """Equal velocities, and one stroke in two files, give no more information on the felt than one recording."""
     z, strokes = np.log(np.array([1.0, 1.0, *velocity])), len(velocity)
     layout = RecordingStructure(tuple(range(strokes)), group, tuple(range(strokes)))
-    problem = SimpleNamespace(unknowns=SimpleNamespace(size=len(z), shared=2), layout=layout)
+    problem = SimpleNamespace(parametrisation=SimpleNamespace(size=len(z), shared=2), structure=layout)
     posterior = Posterior(z[None], 0.05**2 * np.eye(len(z))[None], np.ones(1))
-    assert _path_compared(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior)) == compared
+    assert (
+        _path_compared(SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior))
+        == compared
+    )
 
 
 @pytest.mark.parametrize(("ratio", "spread", "part"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 (49.3 to 73")])
 def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, part):
-    problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2))
+    problem = SimpleNamespace(parametrisation=SimpleNamespace(size=5, shared=2))
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
     posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
-    text = _implausible_velocities(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior))
+    text = _implausible_velocities(
+        SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior)
+    )
     assert part in text
     assert bool(text) == bool(part)
 

@@ -156,7 +156,7 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
     assert [file.name for file in tmp_path.iterdir()] == ["a.dsp"]
     assert CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")]).exit_code == 1
     done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp"), "--force", "--json"])
-    assert json.loads(done.stdout)["guesses"] == 1
+    assert json.loads(done.stdout)["unrecorded"] == 1
     for more, message in (
         (["a.cpp"], ".dsp"),
         (["b.dsp", "--velocity-layers", "4", "--samples", "wav"], "--velocity-layers, --samples"),

@@ -301,7 +301,7 @@ def test_a_loss_that_takes_all_force_for_a_moment_ends_no_contact():
 
 def test_simulate_says_when_a_contact_does_not_end(monkeypatch):
     simulate = importlib.import_module("pianofit.model.simulate")
-    monkeypatch.setattr(simulate, "MOST_STEPS", simulate.FIRST_STEPS)
+    monkeypatch.setattr(simulate, "MAX_STEPS", simulate.FIRST_STEPS)
     with pytest.raises(FitError, match=r"M_H=0.1 kg: .* s; use a lighter"):
         model.simulate(STRING, HAMMER._replace(M_H=0.1), GEOMETRY)
 

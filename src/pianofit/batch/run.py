@@ -148,7 +148,7 @@ class _Batch:
 
     def _begin(self, workers: Workers, job: Job) -> None:
         self.attempts[job.key] += 1
-        self._update(job, state="running", attempts=self.attempts[job.key], stage="", began=round(time.time(), 3))
+        self._update(job, state="running", attempts=self.attempts[job.key], stage="", started=round(time.time(), 3))
         try:
             workers.submit(job)
         except RecordingError as error:
@@ -180,7 +180,7 @@ class _Batch:
 
     def _update(self, job: Job, **facts: Any) -> None:
         if facts["state"] != "running":
-            facts |= {"stage": "", "began": 0.0}
+            facts |= {"stage": "", "started": 0.0}
             self.index.changed()
         self.rows[job.key] = self.rows[job.key]._replace(**facts)
         write_record(self.store, self.rows[job.key])

@@ -40,21 +40,10 @@ if TYPE_CHECKING:
     from ..result.result import FittedRecording
 
 __all__ = [
-    "contact_curves",
-    "curves_of",
-    "envelopes_of",
-    "felt_of",
-    "has_intervals",
-    "identifiability_of",
-    "largest_compression",
-    "level_curves",
-    "paths_of",
-    "recordings_of",
-    "reference_curves",
-    "modal_response_curves",
-    "spectrum_db",
-    "strokes_of",
-]
+    "contact_curves", "curves_of", "envelopes_of", "felt_of", "has_intervals", "identifiability_of",
+    "largest_compression", "level_curves", "modal_response_curves", "paths_of", "recordings_of", "reference_curves",
+    "spectrum_db", "strokes_of",
+]  # fmt: skip
 
 ATTACK_S = 0.03
 # Damping of the spectra, 1/s. The peaks are narrow enough to separate partials and wide enough to be visible.

@@ -23,20 +23,10 @@ from .serialise import unit_and_meaning
 from .velocity_check import PIANIST_VELOCITY_RATIO, contradictory_velocities
 
 __all__ = [
-    "AT_BOUND",
-    "STATUSES",
-    "NOT_CONVERGED",
-    "strong_correlations",
-    "identifiability_statement",
-    "invariant_status",
-    "mixed_format_warnings",
-    "scaled_parameters",
-    "statuses",
-    "unidentifiable_parameters",
-    "velocity_assignment_warning",
-    "velocity_statuses",
-    "warnings",
-]
+    "AT_BOUND", "NOT_CONVERGED", "STATUSES", "identifiability_statement", "invariant_status",
+    "mixed_format_warnings", "scaled_parameters", "statuses", "strong_correlations", "unidentifiable_parameters",
+    "velocity_assignment_warning", "velocity_statuses", "warnings",
+]  # fmt: skip
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.

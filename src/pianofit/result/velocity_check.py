@@ -118,5 +118,6 @@ def _implausible_exponent(fit: InferenceResult, given: Sequence[float]) -> list[
     side, differ = ("above", "less") if z_score > 0 else ("below", "more")
     return [
         f"The felt exponent {u.names[exponent]} = {np.exp(fit.estimate.theta[exponent]):.2g} is {side} the range of "
-        f"felts. The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. Check them."
+        f"felts. The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. "
+        "Check them."
     ]
