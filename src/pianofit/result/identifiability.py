@@ -17,14 +17,13 @@ from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
 from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
-from ..recording.recording import Recording
-from .remarks import recording_warnings
+from .remarks import mixed_format_warnings, recording_warnings
 from .serialise import unit_and_meaning
 from .velocity_check import PIANIST_VELOCITY_RATIO, contradictory_velocities
 
 __all__ = [
     "AT_BOUND", "NOT_CONVERGED", "STATUSES", "identifiability_statement", "invariant_status",
-    "mixed_format_warnings", "scaled_parameters", "statuses", "strong_correlations", "unidentifiable_parameters",
+    "scaled_parameters", "statuses", "strong_correlations", "unidentifiable_parameters",
     "velocity_assignment_warning", "velocity_statuses", "warnings",
 ]  # fmt: skip
 
@@ -315,21 +314,6 @@ def warnings(fit: InferenceResult, states: dict[str, str], worse: Sequence[str],
     ]
     lines += recording_warnings(problem.recordings, problem.analyses)
     return lines + ([] if fit.alternative is None else [*fit.alternative.messages])
-
-
-def mixed_format_warnings(recordings: Sequence[Recording]) -> list[str]:
-    """Warnings about recordings of a key that differ in their channels or sample rates."""
-    properties = (
-        ("channels", lambda recording: len(recording.frames), "The sound of the key is mono"),
-        ("sample rates", lambda recording: recording.rate, "All are resampled to the highest"),
-    )
-    lines = []
-    for name, value_of, consequence in properties:
-        values = {printable(Path(recording.path).name): value_of(recording) for recording in recordings}
-        if len({*values.values()}) > 1:
-            listed = ", ".join(f"{file} {value}" for file, value in values.items())
-            lines.append(f"The recordings differ in their {name} ({listed}). {consequence}.")
-    return lines
 
 
 def _outlying_recordings(fit: InferenceResult, errors: Sequence[float]) -> list[str]:

@@ -10,7 +10,7 @@ from ..conversions import BEATING_DB
 from ..io.files import printable
 from ..recording.recording import Recording
 
-__all__ = ["recording_warnings"]
+__all__ = ["mixed_format_warnings", "recording_warnings"]
 
 
 def recording_warnings(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> list[str]:
@@ -55,3 +55,18 @@ def _beating(names: Sequence[str], analyses: Sequence[Analysis]) -> list[str]:
         f"exponential decay by more than {BEATING_DB:g} dB. Possible causes are several strings, two polarisations, or "
         "a note that was damped or cut."
     ]
+
+
+def mixed_format_warnings(recordings: Sequence[Recording]) -> list[str]:
+    """Warnings about recordings of a key that differ in their channels or sample rates."""
+    properties = (
+        ("channels", lambda recording: len(recording.frames), "The sound of the key is mono"),
+        ("sample rates", lambda recording: recording.rate, "All are resampled to the highest"),
+    )
+    lines = []
+    for name, value_of, consequence in properties:
+        values = {printable(Path(recording.path).name): value_of(recording) for recording in recordings}
+        if len({*values.values()}) > 1:
+            listed = ", ".join(f"{file} {value}" for file, value in values.items())
+            lines.append(f"The recordings differ in their {name} ({listed}). {consequence}.")
+    return lines
