@@ -14,8 +14,8 @@ from matplotlib.image import imsave
 from pianofit import Result, fit
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.report.build import reference_curves
-from pianofit.report.drawing import legend, styled
-from pianofit.report.figures import COMPARED, draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.report.drawing import LINES, legend, page_style
+from pianofit.report.figures import draw_attack, draw_levels, draw_loop, draw_spectrum
 
 PICTURE = Path(__file__).with_name("picture.png")
 
@@ -23,16 +23,16 @@ PICTURE = Path(__file__).with_name("picture.png")
 def main() -> None:
     """Fit the demo's measurement and draw it."""
     with tempfile.TemporaryDirectory() as folder:
-        twin, setup = make_synthetic_recording(60.0, seed=0), Path(folder) / "setup.toml"
+        measurement, setup = make_synthetic_recording(60.0, seed=0), Path(folder) / "setup.toml"
         setup.write_text(setup_text(), encoding="utf-8")
-        result = fit((twin.samples, twin.rate), setup=setup, progress=False)
+        result = fit((measurement.samples, measurement.rate), setup=setup, progress=False)
     PICTURE.write_bytes(picture(result))
 
 
 def picture(result: Result) -> bytes:
     """A PNG of 1400 × 900 pixels: spectra, attack, partial levels and the felt's loop."""
     curves = reference_curves(result)
-    with styled():
+    with page_style():
         figure = Figure(figsize=(14, 9))
         spectra, attack, levels, loop = (
             figure.add_axes((left, bottom, width, 0.38))
@@ -41,7 +41,8 @@ def picture(result: Result) -> bytes:
         )
         draw_spectrum(spectra, curves, tuple(result.document["criterion"]["dropped"]))
         spectra.set(title="Spectra and the bands of the fit")
-        draw_attack(attack, curves, COMPARED)
+        draw_attack(attack, curves, "fitted")
+        attack.plot(curves.attack_ms, curves.attack["initial"], label="initial", **LINES["initial"])
         attack.set(title="Attack", xlabel="time from the onset (ms)")
         draw_levels(levels, curves)
         levels.set(title="Levels of the partials", xlabel="partial number")

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COMPARED", "draw_figures", "draw_force", "draw_levels", "draw_spectrum"]
+__all__ = ["COMPARED", "draw_attack", "draw_figures", "draw_force", "draw_levels", "draw_loop", "draw_spectrum"]
 
 # The three curves of most figures.
 COMPARED = ("measured", "initial", "fitted")
@@ -56,12 +56,12 @@ def draw_figures(
     with page_style():
         figures = {
             "spectra": _spectra(curves, dropped),
-            "attack": [make_figure(_draw_attack, curves, name, title=title) for name, title in ATTACK_TITLES.items()],
+            "attack": [make_figure(draw_attack, curves, name, title=title) for name, title in ATTACK_TITLES.items()],
             "partials": _partials(curves),
             "levels": [make_figure(draw_levels, curves, title="Levels"), _residuals(curves)],
             "force": [
                 make_figure(draw_force, curves, title="Force over time"),
-                make_figure(_draw_loop, curves, title="Force over compression"),
+                make_figure(draw_loop, curves, title="Force over compression"),
             ],
         }
         if len(curves.recordings) > 1:
@@ -154,7 +154,7 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         axes.text(x, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def _draw_attack(axes: Axes, curves: FigureData, name: str) -> None:
+def draw_attack(axes: Axes, curves: FigureData, name: str) -> None:
     """Draw the waveforms of the first milliseconds, with one scale for all panels."""
     for curve in ("measured", name):
         axes.plot(curves.attack_ms, curves.attack[curve], label=curve, **LINES[curve])
@@ -217,7 +217,7 @@ def _without_nodes(curves: FigureData | LevelCurves, name: str) -> np.ndarray:
     return np.where(level > low - NODE, level, np.nan)
 
 
-def _draw_loop(axes: Axes, curves: FigureData) -> None:
+def draw_loop(axes: Axes, curves: FigureData) -> None:
     """Draw force over compression, with arrowheads for the direction."""
     for name in ("initial", "fitted"):
         x, force = curves.compression[name], curves.force[name]
