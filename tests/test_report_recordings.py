@@ -231,7 +231,7 @@ def fake_fit(
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
             partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
-            fitted=fitted, as_played=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
+            fitted=fitted, final=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
             levels={"fitted_db": 0.5},
         ))  # fmt: skip
     table = {name: {"value": 1.0, "interval": [0.9, 1.1], "status": "fitted"} for name in free}

@@ -40,7 +40,7 @@ def warnings_of(strokes, speeds, p: float = 0.0, groups=(None, None, None), anal
     z = problem.parametrisation.mean.copy()
     at = problem.parametrisation.index_of("p")
     z[at] += p * problem.parametrisation.sd[at]
-    return contradictory_velocities(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z)))
+    return contradictory_velocities(SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z)))
 
 
 @pytest.mark.parametrize("slow", [0, 1])
