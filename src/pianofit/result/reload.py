@@ -189,18 +189,20 @@ def _compare(result: Result, index: int, recording: Recording, analysis: Analysi
     stored = stored_levels(result.document, index)
     gain = float(note.gain) if row.get("gain_status") == "given" else None
     comparison = RecordingComparison.of(recording, analysis, None if gain is None else 1.0 / gain)
+    number = stored["number"].astype(int)
+    measured = comparison.levels_at_partials(stored["measured"], number)
     plain = note._replace(gain=1.0, ringing=None)
     begins = None if gain is None else comparison.contact_onset(plain)
     sounds = {
-        "initial": comparison.render(initial_note(result, index), gain, begins, comparison.level),
-        "fitted": comparison.render(plain, float(note.gain), begins, comparison.level),
+        "initial": comparison.render(initial_note(result, index), gain, begins, measured),
+        "fitted": comparison.render(plain, float(note.gain), begins, measured),
     }
     initial, fitted = (
-        replace(sound, level=comparison.levels_at_partials(stored[name], stored["number"].astype(int)))
+        replace(sound, level=comparison.levels_at_partials(stored[name], number))
         for name, sound in sounds.items()
     )
     criterion, levels = (require_table(row, key, f"recordings[{index}]", HINT) for key in ("criterion", "levels"))
-    compared = FittedRecording(initial, fitted, comparison.level, recording, analysis, criterion, levels)
+    compared = FittedRecording(initial, fitted, measured, recording, analysis, criterion, levels)
     return compared if note.ringing is None else compared.ringing_by(note.ringing, _contact_delay(result, index))
 
 
