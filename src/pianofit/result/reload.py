@@ -198,8 +198,7 @@ def _compare(result: Result, index: int, recording: Recording, analysis: Analysi
         "fitted": comparison.render(plain, float(note.gain), begins, measured),
     }
     initial, fitted = (
-        replace(sound, level=comparison.levels_at_partials(stored[name], number))
-        for name, sound in sounds.items()
+        replace(sound, level=comparison.levels_at_partials(stored[name], number)) for name, sound in sounds.items()
     )
     criterion, levels = (require_table(row, key, f"recordings[{index}]", HINT) for key in ("criterion", "levels"))
     compared = FittedRecording(initial, fitted, measured, recording, analysis, criterion, levels)
