@@ -20,13 +20,12 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
-from math import log2
 from pathlib import Path
 from typing import NamedTuple
 
 from .. import __version__
 from ..analysis import analyse
-from ..analysis.note_names import SAME_KEY_CENTS, hz_to_note, note_to_hz, note_to_midi
+from ..analysis.note_names import SAME_KEY_CENTS, cents_above, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io.files import DISK_FULL, printable, read_file, replace_strings, write_error
 from ..io.number_format import counted
@@ -332,7 +331,7 @@ def _of_another_key(pitches: Mapping[Path, float], note: str) -> dict[Path, floa
     """
 
     def cents(a: float, b: float) -> float:
-        return abs(1200 * log2(a / b))
+        return abs(cents_above(a, b))
 
     set_sizes = {
         f0: sum(cents(f0, other) <= SAME_KEY_CENTS for other in pitches.values())
@@ -360,7 +359,7 @@ def _detected_note(job: Job, files: list[Path]) -> str:
 
 def _wrong_note(note: str, f0: float) -> str:
     """Reason if the pitch `f0` (Hz) does not agree with `note`; else empty."""
-    cents = 1200 * log2(f0 / note_to_hz(note))
+    cents = cents_above(f0, note_to_hz(note))
     if abs(cents) <= PITCH_TOLERANCE:
         return ""
     return (f"note {note} is {note_to_hz(note):.1f} Hz, but the string sounds at {f0:.1f} Hz, {cents:+.0f} cents from "

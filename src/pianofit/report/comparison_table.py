@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ..analysis import SAME_KEY_CENTS, cents_above
 from ..conversions import HALF_WIDTH_95
 from ..errors import FitError
 from ..felt import LAWS
@@ -36,8 +37,6 @@ __all__ = ["ComparedQuantity", "Sides", "compared", "messages", "middle"]
 SAME = 1e-9
 # The same for a compression that was computed from a force.
 SAME_COMPRESSION = 1e-6
-# Smallest difference in pitch between different keys, cents.
-ANOTHER_KEY = 50.0
 NOT_MEASURED = {
     "given": "held fixed in {}", "assumed": "assumed in {}", "at-bound": "at a search bound in {}",
     "not-identifiable": "not identifiable in {}",
@@ -281,8 +280,8 @@ def _force_at(felt: Felt, index: int, name: str, fit: Result, unit: str) -> Quan
 def messages(sides: Sides) -> Iterator[str]:
     """Yield sentences on the limits of the comparison."""
     f0 = [fit.invariants["f0"].value if "f0" in fit.invariants else math.nan for fit in sides.fits]
-    cents = 1200 * math.log2(f0[1] / f0[0]) if np.isfinite(f0).all() and min(f0) > 0 else 0.0
-    if abs(cents) > ANOTHER_KEY:
+    cents = cents_above(f0[1], f0[0]) if np.isfinite(f0).all() and min(f0) > 0 else 0.0
+    if abs(cents) > SAME_KEY_CENTS:
         yield f"The fits are of different keys: their pitches differ by {cents:+.0f} cents."
     first, second = sides.files()
     if shared := {*first} & {*second} - {None}:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..analysis import cents_above
 from ..inference.intervals import IntervalResult, parameter_indices
 from ..inference.laplace import Posterior
 from ..inference.parametrisation import LOG_ABSENT_LOSS
@@ -227,7 +228,7 @@ def _rows(fit: InferenceResult, recordings: Sequence[FittedRecording], velocitie
     return [
         recording_row(
             recording, velocities[stroke], problem.calibrated, first=i == problem.reference,
-            cents=float(1200 * np.log2(recording.analysis.f0 / f0)), group=group, stroke=stroke,
+            cents=cents_above(recording.analysis.f0, f0), group=group, stroke=stroke,
         )
         for i, (recording, stroke, group) in enumerate(zip(recordings, layout.stroke, layout.group, strict=True))
     ]  # fmt: skip

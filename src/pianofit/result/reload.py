@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis import Analysis, analyse
+from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above
 from ..errors import AnalysisError, FitError, ParameterError, RecordingError
 from ..fit_file import HINT, read_output_path
 from ..io.files import array_of, printable, reference_row, require_finite, require_table
@@ -26,8 +26,6 @@ from .result import FittedRecording, Result
 __all__ = ["every_note", "initial_note", "stored_levels", "reload_recordings"]
 
 _FIT_AGAIN = "fit the recordings again"
-# Largest distance of the analysed pitch from that of the fitted string, cents.
-SAME_PITCH_CENTS = 30.0
 # Columns of the table of levels.
 COLUMNS = ("number", "measured", "error", "initial", "fitted")
 
@@ -173,7 +171,7 @@ def _analyse_fitted_note(recording: Recording, row: dict, note: Note) -> Analysi
     name = row.get("note") if isinstance(row.get("note"), str) else None
     try:
         analysis = analyse(recording, note=name)
-        if abs(1200 * np.log2(analysis.f0 / float(note.f0))) < SAME_PITCH_CENTS:
+        if abs(cents_above(analysis.f0, float(note.f0))) <= SAME_KEY_CENTS:
             return analysis
     except (AnalysisError, ParameterError):
         pass
