@@ -41,26 +41,6 @@ from scipy.special import log_ndtr
 
 from ..model.x64 import AnyArray
 
-__all__ = [
-    "INTERFERENCE_DB",
-    "CovarianceFactors",
-    "Predicted",
-    "NodeSolutions",
-    "ObservationTable",
-    "interference_db",
-    "before_columns",
-    "factor_covariance",
-    "em_weights",
-    "objective",
-    "path_mean",
-    "pointwise",
-    "predicted",
-    "node_weights",
-    "solve_nodes",
-    "variance",
-    "combine_nodes",
-]
-
 # Arrays of NumPy or of JAX, and one of the two as a module.
 Values = Any
 Space = Any

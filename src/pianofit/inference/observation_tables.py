@@ -11,8 +11,6 @@ from ..analysis import Analysis, law_frequency
 from . import priors
 from .likelihood import ObservationTable
 
-__all__ = ["RecordingStructure", "Observations", "observe", "scatter_by_number", "string_law", "string_residuals"]
-
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST_HZ = 10_000.0
 # log τ, dB, of a table without τ.
@@ -59,37 +57,6 @@ class Observations:
     string_number: np.ndarray  # int, k of the columns of frequency and decay
     law: np.ndarray  # the reference's string model: Hz and 1/s [2, columns]
     cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
-
-
-def string_law(string, number: np.ndarray, length: float, xp=np):
-    """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
-
-    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of
-    the decay. `xp` is the module NumPy or jax.numpy.
-    """
-    c, kappa, b1, b2 = xp.exp(string)
-    s = (number * xp.pi / length) ** 2
-    omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
-    frequency = xp.sqrt(omega2 - xp.minimum(alpha, 0.9 * xp.sqrt(omega2)) ** 2) / (2 * xp.pi)
-    zero = xp.zeros_like(s)
-    pitch = xp.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
-    loss = xp.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
-    return xp.stack([frequency, alpha]), xp.stack([pitch, loss])
-
-
-def string_residuals(string, measured, number, law, length, xp=np):
-    """Residuals [1, K] of frequencies, cents, and of log decays, and the derivatives of their models [1, K, 4].
-
-    Parameters
-    ----------
-    string : logarithms of c, κ, b1 and b2.
-    measured : values of the tables, over `law` [K] each.
-    number, law : partials k [K] and the reference's string model [2, K]; `length` of the string, m.
-    """
-    value, slope = string_law(string, number, length, xp)
-    models = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
-    slopes = CENTS * slope[0], slope[1] / value[1][:, None]
-    return [(y - model)[None] for y, model in zip(measured, models, strict=True)], [s[None] for s in slopes]
 
 
 def observe(

@@ -17,8 +17,6 @@ import numpy as np
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..parameters import STRING_NAMES, Geometry, Parameter, String
 
-__all__ = ["LOG_ABSENT_LOSS", "STRING_SIZE", "Parametrisation", "names_of"]
-
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
 LOG_ABSENT_LOSS = -300.0

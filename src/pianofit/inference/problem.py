@@ -5,25 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis import SAME_KEY_CENTS, Analysis, cents_above
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.files import printable
 from ..io.number_format import counted
 from ..model import Simulation, simulate
-from ..parameters import STRING_NAMES, String
+from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
 from ..setup import RecordingInfo, Setup, recording_info_for
 from . import priors
-from .batched_model import ModelInputs, StaticConfig
-from .initial_values import InitialValues, starting_values
-from .observation_tables import Observations, RecordingStructure, observe, string_residuals
+from .observation_tables import Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
-
-__all__ = ["FitProblem", "simulation_grid", "build_problem"]
+from .priors import InitialValues, starting_values
 
 # A recording with fewer partials above its noise does not constrain the hammer.
 FEWEST = 3
@@ -42,6 +40,25 @@ ROWS = 64
 STRIKE = (0.04, 0.33)
 # Range of the effective width of the contact, relative to the given one.
 WIDTHS = (0.3, 2.0)
+
+
+class StaticConfig(NamedTuple):
+    """Static arguments of a compiled program of the model."""
+
+    n_modes: int
+    rows: int  # partials with levels, 1 to rows
+    quantity: str
+    law: FeltLaw
+
+
+class ModelInputs(NamedTuple):
+    """Inputs of the model that all strokes share."""
+
+    geometry: Geometry  # strike position and width are those of the stroke
+    rate: Any  # of the contact, Hz
+    log_u: Any  # log of the reference compression, m
+    steps: Any  # maximum steps of a contact, a multiple of 32
+    free: Any  # int, entries of a stroke for derivatives; -1 for a direction without effect [directions]
 
 
 @dataclass(frozen=True)
@@ -82,11 +99,24 @@ class FitProblem:
         """Index of the reference stroke's velocity in θ."""
         return self.parametrisation.shared + self.structure.stroke[self.reference]
 
-    def string_residuals(self, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Residuals [1, K] of frequencies and decays and their derivatives [1, K, 4] at a `string` [4]."""
-        o = self.observed
-        measured = o.frequency.value[0], o.decay.value[0]
-        return string_residuals(string, measured, o.string_number, o.law, float(self.initial_values.geometry.length))
+    @property
+    def reported_parameters(self) -> dict[str, int]:
+        """Indices in θ, by name, of the free shared parameters and of the reference stroke's velocity."""
+        u = self.parametrisation
+        return {name: i for i, name in (*enumerate(u.names), (self.reference_velocity_index, "v_H0")) if u.free[i]}
+
+    @property
+    def parameter_indices(self) -> dict[str, int]:
+        """Indices in θ, by name, of the parameters of the felt law and of every velocity.
+
+        `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N.
+        """
+        u = self.parametrisation
+        shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > LOG_ABSENT_LOSS}
+        strokes = range(u.shared, u.size)
+        return shared | {
+            "v_H0" if at == self.reference_velocity_index else f"v_H0 {at - u.shared + 1}": at for at in strokes
+        }
 
 
 def build_problem(

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..analysis import cents_above
-from ..inference.intervals import IntervalResult, parameter_indices
-from ..inference.laplace import Posterior
+from ..inference import InferenceResult, Interval, IntervalResult, Posterior
 from ..inference.parametrisation import LOG_ABSENT_LOSS
-from ..inference.pipeline import InferenceResult
 from ..model.note import Note
 from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread
@@ -42,8 +41,6 @@ from .serialise import (
 
 __all__ = ["build_result"]
 
-# Logarithm of the largest number that can be written.
-LARGEST_LOG = 700.0
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
 
@@ -58,7 +55,7 @@ def build_result(fit: InferenceResult) -> Result:
         If an initial or a final contact does not end.
     """
     problem, found = fit.problem, fit.estimate
-    by_minimum = [notes_of(problem, found.minima, which) for which in range(len(found.minima.nll))]
+    by_minimum = [notes_of(fit, which) for which in range(len(found.minima.nll))]
     recordings = compare_recordings(fit, by_minimum[0])
     notes = tuple(
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
@@ -85,19 +82,12 @@ def build_result(fit: InferenceResult) -> Result:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _interval(
-    posterior: Posterior, direction: np.ndarray, value: float, box: tuple[float, float] = (-np.inf, np.inf)
-) -> dict:
-    """95 % interval of exp(direction · log θ) about the value shown, clipped to `box` (logarithms)."""
-    interval = posterior.interval(direction)
+def _entry(interval: Interval | None) -> dict:
+    """An interval in the form of `fit.json`."""
     if interval is None:
         return no_interval()
-    ends = np.clip(np.add(interval, np.log(value) - float(posterior.mean[0] @ direction)), *box)
-    return {
-        "interval": np.exp(np.minimum(ends, LARGEST_LOG)).tolist(),
-        "interval_by": "laplace",
-        "interval_open": [side for side, end, edge in zip(("low", "high"), ends, box, strict=True) if end == edge],
-    }
+    ends = {"interval": [interval.low, interval.high], "interval_by": interval.method}
+    return ends | {"interval_open": list(interval.unbounded)}
 
 
 def _velocities(fit: InferenceResult) -> list[dict]:
@@ -109,10 +99,11 @@ def _velocities(fit: InferenceResult) -> list[dict]:
     ):
         value = float(np.exp(fit.estimate.theta[at])) if measured is None else float(measured)
         note = "its scale comes from the prior" if status == "scaled" else ""
-        span = _interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))
+        span = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
+        if at == problem.reference_velocity_index:
+            span = fit.alternative_interval("v_H0") or span
         initial = float(np.exp(fit.initial_theta[at]))
-        rows.append(parameter_row(value, {"unit": UNITS["v_H0"]}, status, initial, note, span))
-    rows[problem.reference_velocity_index - u.shared] |= fit.alternative_interval("v_H0")
+        rows.append(parameter_row(value, {"unit": UNITS["v_H0"]}, status, initial, note, _entry(span)))
     return rows
 
 
@@ -134,7 +125,8 @@ def _parameters(fit: InferenceResult, states: dict[str, str], velocity: dict) ->
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         initial = float(start.initial[name])
-        span = _interval(fit.posterior, np.eye(u.size)[i], value, u.range(i)) | fit.alternative_interval(name)
+        span = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
+        span = _entry(fit.alternative_interval(name) or span)
         table[name] = parameter_row(value, unit_and_meaning(name, u.law), states[name], initial, note, span)
     order = [
         *(name for name in PARAMETER_ORDER if name in table),
@@ -170,7 +162,7 @@ def _combined(
 ) -> dict:
     """Entry of a product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
     status = invariant_status(factors, posterior.sd(direction))
-    interval = _interval(posterior, direction, value)
+    interval = _entry(posterior.value_interval(direction, value))
     return {"value": value, "unit": unit, **interval, "note": note, "status": status}
 
 
@@ -179,8 +171,9 @@ def _ratio(fit: InferenceResult, states: dict[str, str], name: str, divisor: flo
     at, alternative = fit.problem.parametrisation.index_of(name), fit.alternative_interval(name)
     value = float(np.exp(fit.posterior.mean[0, at])) / divisor
     row = _combined(fit.gauge_fixed, np.eye(fit.problem.parametrisation.size)[at], value, unit, [states[name]])
-    scaled = {"interval": [end / divisor for end in alternative["interval"]]} if alternative else {}
-    return row | alternative | scaled
+    if alternative is None:
+        return row
+    return row | _entry(replace(alternative, low=alternative.low / divisor, high=alternative.high / divisor))
 
 
 def _static_force(fit: InferenceResult, states: dict[str, str], stiffness: int, p: int) -> dict:
@@ -270,7 +263,7 @@ def _diagnostics(fit: InferenceResult) -> dict:
 
 def _covariance(fit: InferenceResult) -> Covariance:
     """Covariance of the logarithms of the parameters and velocities, by name."""
-    names = parameter_indices(fit.problem)
+    names = fit.problem.parameter_indices
     return Covariance(tuple(names), fit.posterior.covariance[0][np.ix_([*names.values()], [*names.values()])])
 
 

@@ -15,7 +15,7 @@ from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
 from ..errors import FitError, ParameterError, check_type
 from ..fit_file import relative_gains
-from ..inference.pipeline import run_inference
+from ..inference import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
 from ..recording.recording import Source, load_recordings

@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..inference import priors
+from ..inference import FitProblem, InferenceResult, priors
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.pipeline import InferenceResult
-from ..inference.problem import FitProblem
 from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from .remarks import mixed_format_warnings, recording_warnings

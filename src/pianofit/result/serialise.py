@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..felt import FeltLaw, is_builtin, law_of
-from ..inference.initial_values import InitialValues
+from ..inference import InitialValues
 from ..io.files import FIT_SCHEMA
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from .comparison import pool_level_errors

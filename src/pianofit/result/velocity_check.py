@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis import Analysis
-from ..inference.pipeline import InferenceResult
-from ..inference.problem import FitProblem
+from ..inference import FitProblem, InferenceResult
 from ..io.files import printable
 
 __all__ = ["brightening", "contradictory_velocities"]
