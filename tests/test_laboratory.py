@@ -9,12 +9,12 @@ import tomllib
 import numpy as np
 import pytest
 import scipy.signal
-
-from pianofit import setup_from_dict, simulate
 from pianofit.bensa2005.laboratory import Measurement, SyntheticMeasurement, chosen, measure, setup_text
 from pianofit.bensa2005.laboratory.body import window_weights
 from pianofit.bensa2005.laboratory.chosen import FINAL, MODES
 from pianofit.bensa2005.laboratory.measurement import stroke_of
+
+from pianofit import setup_from_dict, simulate
 from pianofit.errors import ParameterError
 from pianofit.model.modes import raised_cosine_weights
 from pianofit.parameters import FIT_NAMES

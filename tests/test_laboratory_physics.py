@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.signal
-
 from pianofit.bensa2005.laboratory import SyntheticMeasurement, chosen, measure
 from pianofit.bensa2005.laboratory.body import Axis, Body, make_axes, make_body
 from pianofit.bensa2005.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
 from pianofit.bensa2005.laboratory.felt import FELTS, Felt, FeltState
 from pianofit.bensa2005.laboratory.measurement import felt_of, stroke_of
 from pianofit.bensa2005.laboratory.strike import Stroke, _solve_contact, strike
+
 from pianofit.errors import FitError
 from pianofit.parameters import String
 

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, SearchResult, fit_by_paper
 
 import pianofit
 from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
 from pianofit.bensa2005 import search as searching
-from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
-from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, SearchResult, fit_by_paper
 from pianofit.cli import main
 from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError
@@ -24,13 +23,14 @@ from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
 from pianofit.result.identifiability import NOT_CONVERGED
+from pianofit.synthetic import demo_recording, setup_text
 
 FEW = 600
 
 
 @functools.cache
 def synthetic():
-    return make_synthetic_recording(60.0, seed=0)
+    return demo_recording(60.0, seed=0)
 
 
 @functools.cache

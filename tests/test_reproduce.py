@@ -10,9 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import soundfile as sf
-from report_cases import Page
-
-from pianofit.bensa2005.descent import LeastSquares
 from pianofit.bensa2005.laboratory.chosen import SCALE
 from pianofit.bensa2005.reproduce import QUICK, claims, limits
 from pianofit.bensa2005.reproduce.band3 import HammerSearch, criterion_plane, search_comparison
@@ -20,6 +17,9 @@ from pianofit.bensa2005.reproduce.direct import strike
 from pianofit.bensa2005.reproduce.run import played
 from pianofit.bensa2005.reproduce.strokes import attack_time, centroid
 from pianofit.bensa2005.reproduce.studies import spread_of
+from report_cases import Page
+
+from pianofit.bensa2005.descent import LeastSquares
 from pianofit.errors import ParameterError
 from pianofit.literature import preset
 from pianofit.model.note import Note
@@ -238,6 +238,7 @@ def known_fit(stroke, recipe, seed, annealing=None, tries=1):
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):
     """The whole command with given values in place of the fits. The slow tests include the fits."""
     from pianofit.bensa2005.reproduce import studies
+
     from pianofit.cli import main
 
     monkeypatch.setattr(studies, "fitted", known_fit)

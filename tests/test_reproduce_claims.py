@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from pianofit.bensa2005.reproduce import claims, limits
 from pianofit.bensa2005.reproduce.direct import ROUND_TRIP
 from pianofit.bensa2005.reproduce.studies import PRINTED, STRINGS
+
 from pianofit.parameters import FIT_NAMES
 
 
