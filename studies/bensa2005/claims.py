@@ -225,14 +225,8 @@ def b2_found(f: Findings) -> Verdict:
 CLAIMS: dict[Callable[..., Verdict], tuple[str, str]] = {
     contact_lasts: ("III.C, Figure 2", "The contact of hammer and string lasts about 3 ms."),
     contact_shortens: ("III.C, Figure 2", "The contact is shorter when the hammer is faster."),
-    reflections: (
-        "III.C, Figure 2",
-        "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.",
-    ),
-    felt_loses: (
-        "III.C, Figure 3",
-        "Force over compression is a loop; its area is the energy lost in the felt.",
-    ),
+    reflections: ("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all."),
+    felt_loses: ("III.C, Figure 3", "Force over compression is a loop; its area is the energy lost in the felt."),
     brighter: ("III.C, Figure 4", "The sound is brighter when the hammer is faster."),
     string_found: ("IV.C, Table II", "A gradient in bands 1 and 2 finds the string."),
     changes_as_printed: (
@@ -243,10 +237,7 @@ CLAIMS: dict[Callable[..., Verdict], tuple[str, str]] = {
     annealing_escapes: ("IV.C", "A gradient alone fails from some starts where annealing does not."),
     high_partials_differ: ("V, Figure 6", "The first seven partials agree, those above differ."),
     waveforms_nearer: ("V, Figure 7", "The waveform comes clearly nearer the measured one."),
-    three_bands_better: (
-        "IV.B, VI",
-        "Three bands keep attack and brightness better than a global criterion.",
-    ),
+    three_bands_better: ("IV.B, VI", "Three bands keep attack and brightness better than a global criterion."),
     predicts: ("V", "Parameters from one velocity predict other velocities."),
     repeats: ("V", "Repeated measurements give very similar parameters."),
     explained: ("V, VI", "The residual after the fit comes from effects that the model does not describe."),

@@ -339,10 +339,7 @@ def b2_over_decades(f: Findings, axes: Any) -> None:
     result = f.b2_sensitivity
     for (band, label), color, stroke in zip(BANDS.items(), (GLOBAL, FITTED, INITIAL), (":", "-", "--"), strict=True):
         axes.plot(result.b2, result.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
-        low, high = (
-            result.noise[band] - result.spread[band],
-            result.noise[band] + result.spread[band],
-        )
+        low, high = (result.noise[band] - result.spread[band], result.noise[band] + result.spread[band])
         axes.axhspan(max(low, 1e-12), high, color=color, alpha=0.15, lw=0)
     axes.axvline(result.true, **TRUTH)
     across = axes.get_xaxis_transform()

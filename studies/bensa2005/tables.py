@@ -80,10 +80,7 @@ def _parameters(f: Findings) -> dict[str, Table]:
     return {
         name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
         for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
-    } | {
-        "shares": Table(("band", "partial", "share"), shares),
-        "intervals": Table(("parameter", *ends), within),
-    }
+    } | {"shares": Table(("band", "partial", "share"), shares), "intervals": Table(("parameter", *ends), within)}
 
 
 def _band3(f: Findings) -> dict[str, Table]:
