@@ -9,8 +9,8 @@ It solves eq. 16-18 with N grid points, Crank-Nicolson, the full duration and on
 - It is compiled for this machine (numba, which only the benchmarks need). Products and sums may be contracted, which
   shortens the dependency chain of the solve.
 
-`python benchmarks/baseline.py` compares it with `pianofit.bensa2005.finite_difference`, which shares no code with it,
-and times it.
+`python benchmarks/baseline.py` compares it with `tests/finite_difference.py`, which shares no code with it, and times
+it.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def contacts(g, a, hammers):
 
 
 def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> float:
-    """Return the largest difference from `pianofit.bensa2005.finite_difference`, relative to full scale.
+    """Return the largest difference from `tests/finite_difference.py`, relative to full scale.
 
     Raises
     ------
@@ -222,7 +222,9 @@ def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> floa
         If the difference exceeds `TOLERANCE`.
     """
     import pianofit
-    from pianofit.bensa2005.finite_difference import solve
+
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from finite_difference import solve
 
     preset = pianofit.preset("bensa-final")
     # The pickup lies on a grid point, because the reference interpolates differently between points.
@@ -240,7 +242,7 @@ def main() -> None:
     """Compare and time the baseline."""
     import pianofit
 
-    print(f"difference from pianofit.bensa2005.finite_difference: {check():.1e} of full scale")
+    print(f"difference from tests/finite_difference.py: {check():.1e} of full scale")
     preset, times = pianofit.preset("bensa-final"), []
     scheme = prepared(preset.string, preset.geometry, 44_100.0)
     for _ in range(15):

@@ -30,25 +30,21 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: events.update([event]))
     import pianofit
     from pianofit.analysis import analyse
-    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
     from pianofit.inference import InferenceResult, build_problem, map_estimate
     from pianofit.model.program_cache import enable_program_cache
     from pianofit.result import build_result
+    from pianofit.synthetic import demo_recording
 
-    with tempfile.TemporaryDirectory() as folder:
-        setup = Path(folder) / "setup.toml"
-        setup.write_text(setup_text())
-        known = pianofit.load_setup(setup)
-        twin = make_synthetic_recording(noise_db)
-        enable_program_cache()
-        recording = pianofit.recording_from_samples(twin.samples[: twin.onset + int(seconds * twin.rate)], twin.rate)
-        found = analyse(recording)
-        events.clear()
-        problem = build_problem([recording], [found], known)
-        fit = map_estimate(problem)
-        searched = dict(events)
-        build_result(InferenceResult(problem, fit, 0))
-        names = [path.name.split("-")[1] for path in Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")]
+    twin = demo_recording(noise_db)
+    enable_program_cache()
+    recording = pianofit.recording_from_samples(twin.samples[: twin.onset + int(seconds * twin.rate)], twin.rate)
+    found = analyse(recording)
+    events.clear()
+    problem = build_problem([recording], [found], twin.setup)
+    fit = map_estimate(problem)
+    searched = dict(events)
+    build_result(InferenceResult(problem, fit, 0))
+    names = [path.name.split("-")[1] for path in Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")]
     return {
         "compilations": searched[COMPILED], "traces": searched[TRACED], "kept_programs": len(names),
         "physics": sum(name in PHYSICS for name in names),

@@ -66,15 +66,15 @@ def _demo(seed: int, noise_db: float | None) -> dict:
     """What `pianofit demo --seed SEED` fits, through files as there."""
     import tempfile
 
-    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
     from pianofit.fitting import fit
     from pianofit.io.files import encode_wav
+    from pianofit.synthetic import demo_recording, setup_text
 
-    twin = make_synthetic_recording(noise_db, seed)
+    twin = demo_recording(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:
         sound, setup = Path(folder) / "synthetic.wav", Path(folder) / "setup.toml"
         sound.write_bytes(encode_wav(twin.samples, twin.rate))
-        setup.write_text(setup_text())
+        setup.write_text(setup_text(twin.setup))
         result = fit(sound, setup=setup, seed=seed, progress=False)
     cell = {"recordings": 1, "calibrated": True, "deeper": None}
     return cell | {"rows": score(result.document, twin.true, []), "converged": result.document["converged"]}

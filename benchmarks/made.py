@@ -43,10 +43,10 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
 def make_measurement(folder: Path) -> tuple[Path, Path]:
     """Write the demo's twin, a calibrated measurement of the paper's string, and its setup."""
     from pianofit import encode_wav
-    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
+    from pianofit.synthetic import demo_recording, setup_text
 
-    twin = make_synthetic_recording()
+    twin = demo_recording()
     sound, setup = folder / "synthetic.wav", folder / "setup.toml"
     sound.write_bytes(encode_wav(twin.samples, twin.rate))
-    setup.write_text(setup_text())
+    setup.write_text(setup_text(twin.setup))
     return sound, setup

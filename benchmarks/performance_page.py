@@ -46,7 +46,7 @@ Python {m["python"]}, {versions}.{busy}
 
 The baseline is the paper's own algorithm done well: N = 100, 44.1 kHz, the full duration, a pentadiagonal matrix that
 is factored once, compiled with numba (`benchmarks/baseline.py`). It is
-{document["baseline off reference.py"]:.1e} of full scale off `paper/scheme.py`."""
+{document["baseline off reference.py"]:.1e} of full scale off `tests/finite_difference.py`."""
 
 
 def _side_by_side(document: dict[str, Any]) -> str:

@@ -267,7 +267,7 @@ def comparisons() -> str:
 
 Derivatives of the pickup velocity and of the force by the nine parameters, for a string like the paper's on a grid of
 {references.POINTS} points, {references.STEPS} steps. Forward mode through the model (`jax.jvp`) is compared with the
-paper's appendix (`bensa2005/finite_difference.py`), and with central differences of {STEP:g} in the logarithm. The
+paper's appendix (`tests/finite_difference.py`), and with central differences of {STEP:g} in the logarithm. The
 table gives the largest difference, relative to the largest value of that derivative. The size is that of the derivative
 by the logarithm, relative to full scale. The error of central differences is rounding divided by their step. It is
 large for a parameter with little effect.

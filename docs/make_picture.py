@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +11,18 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from pianofit import Result, fit
-from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.report.build import reference_curves
 from pianofit.report.drawing import LINES, legend, page_style
 from pianofit.report.figures import draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.synthetic import demo_recording
 
 PICTURE = Path(__file__).with_name("picture.png")
 
 
 def main() -> None:
     """Fit the demo's measurement and draw it."""
-    with tempfile.TemporaryDirectory() as folder:
-        measurement, setup = make_synthetic_recording(60.0, seed=0), Path(folder) / "setup.toml"
-        setup.write_text(setup_text(), encoding="utf-8")
-        result = fit((measurement.samples, measurement.rate), setup=setup, progress=False)
+    measurement = demo_recording(60.0, seed=0)
+    result = fit((measurement.samples, measurement.rate), setup=measurement.setup, progress=False)
     PICTURE.write_bytes(picture(result))
 
 

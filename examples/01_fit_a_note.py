@@ -10,14 +10,13 @@ import sys
 from pathlib import Path
 
 import pianofit
-from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
+from pianofit.synthetic import demo_recording
 
 
 def synthetic() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:
     """Return a calibrated velocity signal, its setup, and its true parameters."""
-    made = make_synthetic_recording(noise_db=60.0, seed=1)
-    Path("setup.toml").write_text(setup_text())
-    return pianofit.recording_from_samples(made.samples, made.rate), pianofit.load_setup("setup.toml"), made.true
+    made = demo_recording(noise_db=60.0, seed=1)
+    return made.recording, made.setup, made.true
 
 
 def main() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import finite_difference
 import numpy as np
 from model_cases import GEOMETRY, HAMMER, STRING
 
-from pianofit.bensa2005 import finite_difference
 from pianofit.parameters import Geometry, Hammer, String
 
 POINTS, STEPS = 48, 512

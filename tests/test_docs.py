@@ -23,6 +23,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+STUDY = ["python", "-m", "studies.bensa2005"]
 IN_THE_CODE = re.compile(r"`([\w/]+\.py)`\s+\(((?:`\w+`(?:,\s+)?)+)\)")
 
 
@@ -45,11 +46,11 @@ def run(page: Path) -> dict[str, Any]:
 
 
 def commands(page: Path) -> list[list[str]]:
-    """Return the `pianofit ...` commands of the page's sh blocks as words, without the program's name."""
+    """Return the commands of the page's sh blocks as words, those of `pianofit` and of the study of the paper."""
     lines = "\n".join(fenced(page, "sh")).replace("\\\n", " ").splitlines()
     parts = [part for line in lines for part in re.split(r"&&|;|\|", re.sub(r"(^|\s)#.*", "", line))]
     words = [shlex.split(part) for part in parts]
-    return [line[1:] for line in words if line and Path(line[0]).name == "pianofit"]
+    return [line for line in words if line and (Path(line[0]).name == "pianofit" or line[:3] == STUDY)]
 
 
 @by_page([page for page in PAGES if fenced(page, "python")])
@@ -64,8 +65,12 @@ def test_the_commands_of_a_page_parse(page):
     from typer.main import get_command
 
     known = get_command(importlib.import_module("pianofit.cli").app).commands
+    study = get_command(importlib.import_module("studies.bensa2005.__main__").app)
     for words in commands(page):
-        name, *rest = words
+        if words[:3] == STUDY:
+            study.make_context("", words[3:]).close()
+            continue
+        _, name, *rest = words
         assert name in known, words
         known[name].make_context(name, rest).close()
 
@@ -90,7 +95,8 @@ def headings(page: Path) -> set[str]:
 @by_page([page for page in PAGES if IN_THE_CODE.search(page.read_text(encoding="utf-8"))])
 def test_what_a_page_places_in_the_code_is_there(page):
     for path, names in IN_THE_CODE.findall(page.read_text(encoding="utf-8")):
-        source = (ROOT / "src" / "pianofit" / path).read_text(encoding="utf-8")
+        folder = ROOT if path.startswith("studies/") else ROOT / "src" / "pianofit"
+        source = (folder / path).read_text(encoding="utf-8")
         for name in re.findall(r"`(\w+)`", names):
             assert re.search(rf"^(def|class) {name}\b|^{name}\b.* = ", source, re.MULTILINE), f"{path}: {name}"
 

@@ -17,7 +17,7 @@ import pianofit
 from pianofit.parameters import FIT_NAMES
 
 # Rooms that an example is about, or has its twin from.
-ROOMS = ("instrument", "playback", "bensa2005.laboratory")
+ROOMS = ("instrument", "playback", "synthetic")
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 

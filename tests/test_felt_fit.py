@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import functools
 import json
-import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pianofit import analyse, fit, load_note, recording_from_samples, setup_from_dict
-from pianofit.bensa2005.laboratory import SyntheticMeasurement, measure, setup_text
 from pianofit.errors import FitError, SetupError
 from pianofit.felt import LAWS, RelaxingHammer
 from pianofit.parameters import Hammer
 from pianofit.setup import load_setup
+from studies.bensa2005.laboratory import SyntheticMeasurement, measure
 
 VELOCITY = 1.299
 # Felt law of each felt of the synthetic measurement.
@@ -29,17 +29,16 @@ def stroke(felt: str):
     return (
         recording,
         analyse(recording),
-        tomllib.loads(setup_text(made.scale, made.nominal_velocity, hold_velocity=True)),
+        made.setup(hold_velocity=True),
         made.true,
     )
 
 
 @functools.cache
 def fitted(felt: str, law: str) -> dict:
-    recording, analysis, data, _ = stroke(felt)
-    data = data | {"initial": {k: v for k, v in data["initial"].items() if k in ("K_H", "p", "M_H")}}
-    setup = setup_from_dict(data | {"felt": {"law": law}}, "test")
-    return fit(recording, analyses=[analysis], setup=setup).document
+    recording, analysis, given, _ = stroke(felt)
+    initial = {k: v for k, v in given.initial.items() if k in ("K_H", "p", "M_H")}
+    return fit(recording, analyses=[analysis], setup=replace(given, initial=initial, felt=law)).document
 
 
 def value(document: dict, name: str) -> float:

@@ -20,11 +20,11 @@ from felt_cases import (
 )  # fmt: skip
 from model_cases import GEOMETRY, RATE, STRING
 
-from pianofit.bensa2005.laboratory.body import Axis, make_body
-from pianofit.bensa2005.laboratory.felt import Felt
-from pianofit.bensa2005.laboratory.strike import strike as laboratory_strike
 from pianofit.felt import RelaxingHammer
 from pianofit.parameters import Hammer
+from studies.bensa2005.body import Axis, make_body
+from studies.bensa2005.contact import Felt
+from studies.bensa2005.contact import strike as laboratory_strike
 
 pytestmark = pytest.mark.usefixtures("float64")
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import pianofit
-from pianofit import FeltLaw, FitError, Note, Parameter, ParameterError, Setup, SetupError
+from pianofit import FeltLaw, FitError, Note, Parameter, ParameterError, Setup, SetupError, bensa2005
 from pianofit.felt import LAWS
 from pianofit.felt.relaxing import STULOV, force, storage
 
@@ -114,8 +114,8 @@ def test_what_cannot_be_fitted_is_refused(make, error, message):
 
 def test_the_papers_recipes_have_the_papers_felt():
     sound = Note(PRESET.string, PRESET.hammer, PRESET.geometry, "bridge-force", 0.002).render(seconds=0.5)
-    with pytest.raises(ParameterError, match=r"recipe='paper'.*felt='foam'"):
-        pianofit.fit((sound, 44_100), setup=Setup(felt=FOAM), recipe="paper", progress=False)
+    with pytest.raises(ParameterError, match=r"method='paper'.*felt='foam'"):
+        bensa2005.fit((sound, 44_100), setup=Setup(felt=FOAM), progress=False)
 
 
 def test_a_prior_that_says_nothing_is_the_box():

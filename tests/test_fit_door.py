@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import pianofit
-from pianofit.errors import AnalysisError, ParameterError, PianofitError, RecordingError, SetupError
+from pianofit import bensa2005
+from pianofit.errors import AnalysisError, FitError, ParameterError, PianofitError, RecordingError, SetupError
 from pianofit.progress import progress_bar
 
 RATE = 44_100
@@ -101,9 +102,6 @@ def test_what_was_known_comes_in_any_form(asked, file):
         (((SAMPLES, RATE),), {"seed": 1.5}, ParameterError, "seed=1.5"),
         (((SAMPLES, RATE),), {"analyses": []}, ParameterError, "0 analyses"),
         (((SAMPLES, RATE),), {"intervals": "guess"}, ParameterError, "intervals='guess'"),
-        (((SAMPLES, RATE),), {"recipe": "papers"}, ParameterError, "recipe='papers'"),
-        (((SAMPLES, RATE),), {"evaluations": 900}, ParameterError, "evaluations=900"),
-        (((SAMPLES, RATE),) * 2, {"recipe": "paper"}, ParameterError, "recipe='paper' fits one"),
         (((SAMPLES, RATE),), {"setup": {"fixed": {"KH": 1e9}}}, SetupError, 'setup: [fixed] "KH" is not known'),
         (((SAMPLES, RATE),), {"setup": "none.toml"}, SetupError, "none.toml: no such file"),
         (((SAMPLES, RATE),), {"velocity": 3.0, "setup": {"bounds": {"v_H0": [1, 2]}}}, SetupError, "velocity=3.0"),
@@ -116,12 +114,19 @@ def test_what_cannot_be_used_is_refused(asked, arguments, options, error, named)
     assert not asked
 
 
-def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
+def test_the_papers_method_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
     seen: list[float | None] = []
-    monkeypatch.setattr("pianofit.bensa2005.recipes.fit_bensa2005", lambda *_, velocity, **__: seen.append(velocity))
+
+    def starting_values(_, setup: pianofit.Setup, velocity: float | None) -> None:
+        seen.append(velocity)
+        assert setup.recordings == ()
+        raise FitError
+
+    monkeypatch.setattr("pianofit.bensa2005.method.starting_values", starting_values)
     for name, given in (("a.wav", None), ("b.wav", None), (None, None), ("a.wav", 3.0)):
-        layer = pianofit.RecordingInfo(name, v_H0=2.0)
-        pianofit.fit(file, note="A4", setup=pianofit.Setup(recordings=(layer,)), recipe="paper", velocity=given)
+        setup = pianofit.Setup(recordings=(pianofit.RecordingInfo(name, v_H0=2.0),))
+        with pytest.raises(FitError):
+            bensa2005.fit(file, note="A4", setup=setup, velocity=given)
     assert seen == [2.0, None, 2.0, 3.0]
 
 

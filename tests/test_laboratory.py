@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tomllib
 
 import numpy as np
 import pytest
 import scipy.signal
 
-from pianofit import setup_from_dict, simulate
-from pianofit.bensa2005.laboratory import Measurement, SyntheticMeasurement, chosen, measure, setup_text
-from pianofit.bensa2005.laboratory.body import window_weights
-from pianofit.bensa2005.laboratory.chosen import FINAL, MODES
-from pianofit.bensa2005.laboratory.measurement import stroke_of
+from pianofit import simulate
 from pianofit.errors import ParameterError
 from pianofit.model.modes import raised_cosine_weights
 from pianofit.parameters import FIT_NAMES
+from studies.bensa2005 import laboratory
+from studies.bensa2005.body import window_weights
+from studies.bensa2005.laboratory import FINAL, MODES, Measurement, SyntheticMeasurement, measure, stroke_of
 
 V = 0.844  # m/s
 SHORT = {"seconds": 0.2}
@@ -64,7 +62,7 @@ def test_the_limits_of_both_programs_are_the_same_to_a_ten_millionth(limit):
 
 def test_more_modes_change_nothing_that_matters(monkeypatch):
     before = ideal_signal(32)
-    monkeypatch.setattr(chosen, "MODES", 256)
+    monkeypatch.setattr(laboratory, "MODES", 256)
     assert np.abs(ideal_signal(32) - before).max() < 4e-6 * np.abs(before).max()
 
 
@@ -143,8 +141,7 @@ def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
 
 def test_the_setup_says_what_the_laboratory_knew():
     recorded = measure(SyntheticMeasurement(**SHORT), 2.3)
-    text = setup_text(recorded.scale, recorded.nominal_velocity, hold_velocity=True)
-    setup = setup_from_dict(tomllib.loads(text), "setup")
+    setup = recorded.setup(hold_velocity=True)
     g = FINAL.geometry
     assert (setup.length, setup.mass, setup.strike_position, setup.strike_width, setup.pickup_position) == tuple(g)
     assert setup.pickup_quantity == "velocity"
@@ -156,7 +153,7 @@ def test_the_setup_says_what_the_laboratory_knew():
 
 def test_a_velocity_can_be_where_the_fit_starts():
     recorded = measure(SyntheticMeasurement(**SHORT), V)
-    setup = setup_from_dict(tomllib.loads(setup_text(recorded.scale, recorded.nominal_velocity)), "setup")
+    setup = recorded.setup()
     assert setup.recordings == ()
     assert setup.initial["v_H0"] == recorded.nominal_velocity != V
 
@@ -172,6 +169,6 @@ def test_what_cannot_be_is_refused():
 
 
 def test_measuring_needs_no_jax():
-    program = "import sys, pianofit.bensa2005.laboratory as l\nl.measure(l.SyntheticMeasurement(), 0.844)"
+    program = "import sys, studies.bensa2005.laboratory as l\nl.measure(l.SyntheticMeasurement(), 0.844)"
     program += "; assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)

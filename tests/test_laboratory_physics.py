@@ -9,14 +9,11 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
-from pianofit.bensa2005.laboratory import SyntheticMeasurement, chosen, measure
-from pianofit.bensa2005.laboratory.body import Axis, Body, make_axes, make_body
-from pianofit.bensa2005.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.bensa2005.laboratory.felt import FELTS, Felt, FeltState
-from pianofit.bensa2005.laboratory.measurement import felt_of, stroke_of
-from pianofit.bensa2005.laboratory.strike import Stroke, _solve_contact, strike
 from pianofit.errors import FitError
 from pianofit.parameters import String
+from studies.bensa2005.body import ANGLE, CENTS, RESONATORS, SLOWER, Axis, Body, Resonator, make_axes, make_body
+from studies.bensa2005.contact import FELTS, Contact, Felt, FeltState, _solve_contact, strike
+from studies.bensa2005.laboratory import FINAL, MODES, RATE, SyntheticMeasurement, felt_of, measure, stroke_of
 
 V = 0.844  # m/s
 STRING = FINAL.string
@@ -35,13 +32,13 @@ def by_frequency(body: Body) -> np.ndarray:
 
 
 def stored(felt: Felt, dent, memory):
-    """Energy stored in the felt (S in `laboratory.felt`), J, for arrays or numbers."""
+    """Energy stored in the felt (S in `contact`), J, for arrays or numbers."""
     p = felt.p
     recent = dent ** (p + 1) / (p + 1) - felt.eps * memory * dent
     return felt.K * (recent + felt.eps * p / (p + 1) * memory ** ((p + 1) / p))
 
 
-def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
+def energy(body: Body, felt: Felt, mass: float, stroke: Contact) -> np.ndarray:
     """Total energy of string, bridge, hammer and felt, J [steps]."""
     xi = np.real(stroke.states @ body.vectors.T)
     kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
@@ -84,7 +81,7 @@ def test_the_bridge_and_the_supports_can_only_take():
     body = make_body(make_axes(STRING, True), FINAL.geometry, MODES, RESONATORS)
     gain = np.linalg.eigvalsh((body.matrix + body.matrix.T) / 2)
     assert gain.max() < 1e-9 * np.abs(gain).max()
-    assert body.poles.real.max() < -0.99 * chosen.SLOWER * STRING.b1
+    assert body.poles.real.max() < -0.99 * SLOWER * STRING.b1
 
 
 def test_the_exponentials_solve_the_equations_of_motion():
@@ -215,15 +212,15 @@ def envelope() -> tuple[np.ndarray, np.ndarray]:
     lab = SyntheticMeasurement.ideal(polarisation=True, seconds=12.0)
     measurement, pole = measure(lab, V), by_frequency(alone())[4]
     note = measurement.clean[measurement.onset :]
-    t = np.arange(len(note)) / chosen.RATE
-    width = round(0.05 * chosen.RATE)
+    t = np.arange(len(note)) / RATE
+    width = round(0.05 * RATE)
     mixed = scipy.signal.oaconvolve(note * np.exp(-1j * pole.imag * t), np.hanning(width) / width * 4, "same")
     inside = slice(width, -width, 441)
     return t[inside], np.abs(mixed[inside])
 
 
 def beat_period() -> float:
-    return 2 * np.pi / (by_frequency(alone())[4].imag * (2 ** (chosen.CENTS / 1200) - 1))
+    return 2 * np.pi / (by_frequency(alone())[4].imag * (2 ** (CENTS / 1200) - 1))
 
 
 def test_a_partial_decays_twice(envelope):
@@ -237,13 +234,13 @@ def test_a_partial_decays_twice(envelope):
         return math.log(first / second) / (2 * beat_period())
 
     assert decay(0.06) == pytest.approx(STRING.b1, rel=0.05)
-    assert decay(9.0) == pytest.approx(STRING.b1 * chosen.SLOWER, rel=0.1)
+    assert decay(9.0) == pytest.approx(STRING.b1 * SLOWER, rel=0.1)
 
 
 def test_and_beats_as_two_frequencies_do(envelope):
     t, amplitude = envelope
-    ratio = math.tan(math.radians(chosen.ANGLE)) ** 2
-    slow, fast = STRING.b1 * chosen.SLOWER, STRING.b1
+    ratio = math.tan(math.radians(ANGLE)) ** 2
+    slow, fast = STRING.b1 * SLOWER, STRING.b1
     # Both start in phase, and their phase difference grows by one cycle per beat period.
     two = np.abs(np.exp(-fast * t) + ratio * np.exp(-slow * t + 2j * np.pi * t / beat_period()))
     level = 20 * np.log10(amplitude / two)

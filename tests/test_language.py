@@ -62,12 +62,14 @@ def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
 
 def prose() -> Iterator[tuple[str, int, str]]:
     """All prose of the project: where it is, its line, its text."""
-    source = ROOT / "src" / "pianofit"
-    for path in [*sorted(source.rglob("*.py")), *sorted((ROOT / "examples").glob("*.py"))]:
+    sources = [ROOT / "src" / "pianofit", ROOT / "studies"]
+    code = [path for source in sources for path in source.rglob("*.py")]
+    for path in sorted([*code, *(ROOT / "examples").glob("*.py")]):
         for line, text in prose_of_python(path.read_text(encoding="utf-8")):
             yield str(path.relative_to(ROOT)), line, text
     documents = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
-    templates = [path for kind in ("j2", "js", "css", "dsp") for path in source.rglob(f"*.{kind}")]
+    kinds = ("j2", "js", "css", "dsp")
+    templates = [path for source in sources for kind in kinds for path in source.rglob(f"*.{kind}")]
     for path in sorted([*documents, *templates]):
         text = path.read_text(encoding="utf-8")
         yield str(path.relative_to(ROOT)), 1, CODE.sub(blank, text) if path.suffix == ".md" else text

@@ -49,7 +49,7 @@ def questions() -> list[Question]:
 def write(path: Path, seed: int = 3, origin: str = "made-up") -> dict:
     """Write the page and return its key."""
     write_listening(
-        path, questions(), RATE, LEAD, seed, program="pianofit reproduce", about="some sounds", origin=origin,
+        path, questions(), RATE, LEAD, seed, program="pianofit listen", about="some sounds", origin=origin,
         key=path.with_suffix(".key"),
     )  # fmt: skip
     return json.loads(path.with_suffix(".key").read_text(encoding="utf-8"))
@@ -179,7 +179,7 @@ def test_answers_are_saved_as_json_with_what_was_hidden(page, path, tmp_path):
     key = json.loads(path.with_suffix(".key").read_text(encoding="utf-8"))
     what = {name: sound["what"] for name, sound in key["sounds"].items()}
     assert saved["schema"] == 2
-    assert saved["program"] == "pianofit reproduce"
+    assert saved["program"] == "pianofit listen"
     assert saved["seed"] == 3
     assert saved["listener"] == "a listener"
     assert saved["asked"] == saved["answered"] == len(saved["trials"]) == 16

@@ -5,17 +5,16 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import pianofit
-from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
+from pianofit import ParameterError, analyse, bensa2005, recording_from_samples
 from pianofit.bensa2005 import search as searching
-from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
-from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, SearchResult, fit_by_paper
+from pianofit.bensa2005.method import FELT_UNKNOWN, NO_INTERVALS, OPENING, SearchResult, search_parameters
 from pianofit.cli import main
 from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError
@@ -24,13 +23,14 @@ from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
 from pianofit.result.identifiability import NOT_CONVERGED
+from pianofit.synthetic import demo_recording, setup_text
 
 FEW = 600
 
 
 @functools.cache
 def synthetic():
-    return make_synthetic_recording(60.0, seed=0)
+    return demo_recording(60.0, seed=0)
 
 
 @functools.cache
@@ -43,12 +43,10 @@ def analysis():
     return analyse(recording())
 
 
-def setup(**more: Any):
-    data = tomllib.loads(setup_text())
-    for table, values in more.items():
-        data["initial"] = {k: v for k, v in data["initial"].items() if k not in values or table == "bounds"}
-        data[table] = data.get(table, {}) | values
-    return setup_from_dict(data, "test")
+def setup(**more: Any) -> pianofit.Setup:
+    """The setup of the demo with more tables. Fixed values have no initial value."""
+    initial = {name: x for name, x in synthetic().setup.initial.items() if name not in more.get("fixed", {})}
+    return replace(synthetic().setup, **more | {"initial": initial | more.get("initial", {})})
 
 
 def bounded():
@@ -60,10 +58,8 @@ def bounded():
 @functools.cache
 def uncalibrated():
     """A recording at a third of its level, its analysis, and a setup without a scale and initial values."""
-    data = {k: v for k, v in tomllib.loads(setup_text()).items() if k != "initial"}
-    del data["pickup"]["scale"]
     quiet = recording_from_samples(0.3 * synthetic().samples, synthetic().rate, name="synthetic")
-    return quiet, analyse(quiet), setup_from_dict(data, "x")
+    return quiet, analyse(quiet), replace(setup(), initial={}, pickup_scale=None)
 
 
 @functools.cache
@@ -101,8 +97,8 @@ def test_a_wave_speed_and_a_length_may_be_less_than_half_a_semitone_off(cents, r
         start(given)
 
 
-def search(given=None, recipe: str = "paper", **more: Any) -> SearchResult:
-    return fit_by_paper(recording(), analysis(), start(given), recipe, **more)
+def search(given=None, method: str = "paper", **more: Any) -> SearchResult:
+    return search_parameters(recording(), analysis(), start(given), method, **more)
 
 
 @functools.cache
@@ -164,7 +160,7 @@ def test_the_same_seed_gives_the_same_result():
 
 def test_the_global_criterion_goes_down_and_leaves_the_brightness_behind(monkeypatch):
     monkeypatch.setattr(searching, "ITERATIONS", 25)
-    found = search(recipe="global")
+    found = search(method="global")
     after = final(found)
     assert after["global"] < 0.1 * initial()["global"]
     # "The energy of high frequency components" has little weight (paper IV.B).
@@ -204,21 +200,21 @@ def test_a_known_felt_stiffness_stays_while_the_exponent_moves():
 def test_an_uncalibrated_recording_holds_the_assumed_velocity_and_leaves_the_onset():
     quiet, analysed, given = uncalibrated()
     begin = starting_values(analysed, given)
-    found = fit_by_paper(quiet, analysed, begin, evaluations=FEW)
+    found = search_parameters(quiet, analysed, begin, evaluations=FEW)
     assert found.hammer.v_H0 == begin.values["v_H0"]
     string = String(*(begin.initial[name] for name in String._fields))
     assert found.delay == arrival(string, begin.geometry, begin.quantity)
 
 
 def test_a_power_law_felt_has_no_loss():
-    given = setup_from_dict({**tomllib.loads(setup_text()), "initial": {}, "felt": {"law": "power"}}, "test")
+    given = replace(setup(), initial={}, felt="power")
     assert search(given, evaluations=FEW).hammer.mu == 0.0
 
 
 def test_a_note_without_a_third_band_uses_the_next():
     note, analysed = of_four_partials()
     begin = starting_values(analysed, pianofit.Setup())
-    found = fit_by_paper(note, analysed, begin, evaluations=FEW)
+    found = search_parameters(note, analysed, begin, evaluations=FEW)
     assert found.hammer.p != begin.initial["p"]
     assert np.isfinite([*found.string, *found.hammer]).all()
 
@@ -226,12 +222,12 @@ def test_a_note_without_a_third_band_uses_the_next():
 # --- statements of a result -------------------------------------------------------------------------------------------
 
 
-def fit(sound, found, given, recipe: str = "paper", **more: Any) -> dict:
-    return pianofit.fit(sound, analyses=[found], setup=given, recipe=recipe, **more).document
+def fit(sound, found, given, **more: Any) -> dict:
+    return bensa2005.fit(sound, analysis=found, setup=given, **more).document
 
 
-def document(given=None, recipe: str = "paper", **more: Any) -> dict:
-    return fit(recording(), analysis(), given or setup(), recipe=recipe, **more)
+def document(given=None, **more: Any) -> dict:
+    return fit(recording(), analysis(), given or setup(), **more)
 
 
 def test_no_interval_is_claimed_and_that_is_said():
@@ -249,7 +245,7 @@ def test_no_interval_is_claimed_and_that_is_said():
 
 def test_a_search_that_stopped_is_said(monkeypatch):
     monkeypatch.setattr(searching, "ITERATIONS", 5)
-    whole = document(recipe="global")
+    whole = document(method="global")
     assert not whole["converged"]
     assert any(NOT_CONVERGED in message for message in whole["messages"])
 
@@ -265,7 +261,7 @@ def test_values_at_a_bound_are_said():
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
     sound, analysed, given = (recording(), analysis(), setup()) if calibrated else uncalibrated()
-    result = pianofit.fit(sound, analyses=[analysed], setup=given, recipe="paper", evaluations=FEW)
+    result = bensa2005.fit(sound, analysis=analysed, setup=given, evaluations=FEW)
     scale = 20 * np.log10(start().scale) if calibrated else 0.0
     for played in (result.initial, result.fitted):
         # Levels of the sounds as the analysis measures them, in file units.
@@ -292,20 +288,17 @@ def test_a_band_without_partials_is_said():
 
 # --- errors -----------------------------------------------------------------------------------------------------------
 
-REFUSED = [
-    ("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global", 5000, "annealing"),
-    ("default", 5000, "5000"),
-]  # fmt: skip
+REFUSED = [("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global", 5000, "annealing")]
 
 
-@pytest.mark.parametrize(("recipe", "evaluations", "named"), REFUSED)
-def test_a_fit_refuses_other_recipes_and_evaluations(recipe, evaluations, named):
+@pytest.mark.parametrize(("method", "evaluations", "named"), REFUSED)
+def test_a_fit_refuses_other_methods_and_evaluations(method, evaluations, named):
     with pytest.raises(ParameterError, match=named):
-        document(recipe=recipe, evaluations=evaluations)
+        document(method=method, evaluations=evaluations)
 
 
 def test_a_felt_with_memory_is_not_the_papers():
-    given = setup_from_dict({**tomllib.loads(setup_text()), "initial": {}, "felt": {"law": "stulov"}}, "test")
+    given = replace(setup(), initial={}, felt="stulov")
     with pytest.raises(ParameterError, match="felt='stulov'"):
         search(given)
 
@@ -314,14 +307,28 @@ def test_an_unknown_recipe_is_no_command(tmp_path, capsys):
     assert main(["fit", str(tmp_path / "none.wav"), "--out", str(tmp_path / "out"), "--recipe", "papers"]) == 2
     error = capsys.readouterr().err
     assert "papers" in error
-    assert all(name in error for name in RECIPES)
+    assert all(name in error for name in ("default", "paper", "global"))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["a.wav", "--evaluations", "900"], "evaluations=900"),
+        (["a.wav", "--recipe", "global", "--evaluations", "900"], "recipe='paper'"),
+        (["a.wav", "b.wav", "--recipe", "paper"], "recipe='paper' fits one recording; 2 were given"),
+        (["a.wav", "--recipe", "paper", "--intervals", "profile"], "intervals='profile' requires the default recipe"),
+    ],
+)
+def test_a_command_refuses_options_that_its_recipe_does_not_have(tmp_path, capsys, options, named):
+    assert main(["fit", *options, "--out", str(tmp_path / "out")]) == 1
+    assert named in capsys.readouterr().err
 
 
 def test_the_command_line_from_end_to_end(tmp_path, capsys):
     out = tmp_path / "out"
     (tmp_path / "synthetic.wav").write_bytes(pianofit.encode_wav(synthetic().samples, synthetic().rate))
-    (tmp_path / "setup.toml").write_text(setup_text())
+    (tmp_path / "setup.toml").write_text(setup_text(synthetic().setup))
     command = ["fit", str(tmp_path / "synthetic.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     assert "No intervals" in capsys.readouterr().out

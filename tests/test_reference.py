@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import math
 
+import finite_difference
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +25,6 @@ from model_cases import HAMMER, STRING
 from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touches
 
 from pianofit import model
-from pianofit.bensa2005 import finite_difference
 from pianofit.model.contact import free_motion, impulse_amplitude
 from pianofit.model.damped_sums import sum_damped_exponentials
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+import finite_difference
 import numpy as np
 import pytest
 from model_cases import GEOMETRY, HAMMER, STRING
 from reference_cases import CASES, WIDE, relative, solve
 
 from pianofit import model
-from pianofit.bensa2005 import finite_difference
 from pianofit.errors import FitError, ParameterError
 from pianofit.parameters import Geometry, Hammer, String
 

@@ -13,17 +13,18 @@ import soundfile as sf
 from report_cases import Page
 
 from pianofit.bensa2005.descent import LeastSquares
-from pianofit.bensa2005.laboratory.chosen import SCALE
-from pianofit.bensa2005.reproduce import QUICK, claims, limits
-from pianofit.bensa2005.reproduce.band3 import HammerSearch, criterion_plane, search_comparison
-from pianofit.bensa2005.reproduce.direct import strike
-from pianofit.bensa2005.reproduce.run import played
-from pianofit.bensa2005.reproduce.strokes import attack_time, centroid
-from pianofit.bensa2005.reproduce.studies import spread_of
 from pianofit.errors import ParameterError
 from pianofit.literature import preset
 from pianofit.model.note import Note
 from pianofit.parameters import FIT_NAMES
+from studies.bensa2005 import claims, findings, limits
+from studies.bensa2005.__main__ import app
+from studies.bensa2005.direct import strike
+from studies.bensa2005.findings import FULL, QUICK, spread_of
+from studies.bensa2005.hammer_search import HammerSearch, criterion_plane, search_comparison
+from studies.bensa2005.laboratory import SCALE
+from studies.bensa2005.page import played, reproduce
+from studies.bensa2005.strokes import attack_time, centroid
 
 RATE = 44_100
 
@@ -215,7 +216,7 @@ def check_folder(folder, plan) -> Page:
 class FakeResult(NamedTuple):
     """The part of a result that the page uses."""
 
-    document: dict
+    parameters: dict[str, Any]
     initial: Any
     fitted: Any
 
@@ -231,17 +232,19 @@ def known_fit(stroke, recipe, seed, annealing=None, tries=1):
         for string, hammer in ((first.string, first.hammer._replace(v_H0=struck)), (last.string, hammer))
     ]
     values = last.string._asdict() | hammer._asdict()
-    parameters = {k: {"value": v, "interval": (0.9 * v, 1.1 * v)} for k, v in values.items()}
-    return FakeResult({"parameters": parameters}, *notes)
+    parameters = {k: SimpleNamespace(value=v, interval=(0.9 * v, 1.1 * v)) for k, v in values.items()}
+    return FakeResult(parameters, *notes)
+
+
+def run_command(*arguments: str) -> int:
+    """Run `python -m studies.bensa2005`, and return the exit code."""
+    return app(args=arguments, standalone_mode=False) or 0
 
 
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):
     """The whole command with given values in place of the fits. The slow tests include the fits."""
-    from pianofit.bensa2005.reproduce import studies
-    from pianofit.cli import main
-
-    monkeypatch.setattr(studies, "fitted", known_fit)
-    assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 0
+    monkeypatch.setattr(findings, "fitted", known_fit)
+    assert run_command("--out", str(tmp_path / "out"), "--quick") == 0
     page = check_folder(tmp_path / "out", QUICK)
     shown = capsys.readouterr()
     assert shown.err == ""  # no terminal, no progress
@@ -254,15 +257,13 @@ def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatc
     assert outcome["The waveform comes clearly nearer the measured one."] == claims.WORDS["yes"]
     assert outcome["Three bands keep attack and brightness better than a global criterion."] == claims.WORDS["yes"]
     before = (tmp_path / "out" / "index.html").read_bytes()
-    assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 1
+    assert run_command("--out", str(tmp_path / "out"), "--quick") == 1
     assert "not empty" in capsys.readouterr().err
     assert (tmp_path / "out" / "index.html").read_bytes() == before
 
 
 @pytest.mark.slow
 def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path):
-    from pianofit.bensa2005.reproduce import reproduce
-
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         assert len(reproduce(tmp_path / name, seed=3, plan=QUICK)) == CLAIMS
@@ -274,9 +275,7 @@ def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path
 
 @pytest.mark.slow
 def test_a_full_run_brings_the_papers_main_findings(tmp_path):
-    from pianofit.bensa2005.reproduce import FULL, reproduce
-
-    outcome = {claim.claim: claim.outcome for claim in reproduce(tmp_path, seed=0)}
+    outcome = {claim.text: claim.verdict.outcome for claim in reproduce(tmp_path, seed=0)}
     check_folder(tmp_path, FULL)
     for claim in (
         "The contact is shorter when the hammer is faster.",

@@ -9,6 +9,7 @@ import numpy as np
 from bad_files import note as sound
 
 import pianofit as pf
+from pianofit import bensa2005
 from pianofit.errors import PianofitError
 
 # None of these is a text, a number, an array of floats, a path, or an object of pianofit.
@@ -46,8 +47,8 @@ CALLS = {
     "velocity": lambda x: pf.fit(recording(), velocity=x),
     "seed": lambda x: pf.fit(recording(), seed=x),
     "intervals": lambda x: pf.fit(recording(), intervals=x),
-    "recipe": lambda x: pf.fit(recording(), recipe=x),
-    "evaluations": lambda x: pf.fit(recording(), recipe="paper", evaluations=x),
+    "method": lambda x: bensa2005.fit(recording(), method=x),
+    "evaluations": lambda x: bensa2005.fit(recording(), evaluations=x),
     "length": lambda x: pf.Setup(length=x),
     "felt": lambda x: pf.Setup(felt=x),
     "notes": lambda x: pf.predict_recording(x, recording()),

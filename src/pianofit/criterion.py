@@ -21,19 +21,27 @@ import numpy as np
 from .analysis import law_frequency
 
 __all__ = [
-    "BANDS", "ENOUGH_DAMPING", "NODES", "WIDEST_SIGMA", "SpectralCells", "band_of",
-    "band_values", "band_borders", "cell_grid", "closed_form_gain", "level_error_db", "damping_for", "measure",
-]  # fmt: skip
+    "BANDS",
+    "ENOUGH_DAMPING",
+    "NODES",
+    "SpectralCells",
+    "band_of",
+    "band_values",
+    "band_borders",
+    "cell_grid",
+    "closed_form_gain",
+    "level_error_db",
+    "damping_for",
+    "measure",
+]
 
 BANDS = ("band1", "band2", "band3")
 # Number of frequencies in a cell.
 NODES = 48
 # Half width of a cell in linewidths σ/2π. Beyond it the energy of a Lorentzian is lower by a factor of 150.
 HALF_CELL_LINEWIDTHS = 12.0
-# Largest σ of the criterion, 1/s.
-WIDEST_SIGMA = 30.0
-# Smallest spacing of partials, in linewidths.
-MIN_SPACING_LINEWIDTHS = 16.0
+# Largest σ of the criterion, 1/s, and smallest spacing of partials, in linewidths.
+WIDEST_SIGMA, MIN_SPACING_LINEWIDTHS = 30.0, 16.0
 # A signal of length T is truncated at σT = 14, where the damping exp(-σT) leaves 1e-6.
 ENOUGH_DAMPING = 14.0
 

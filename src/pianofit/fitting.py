@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from .analysis import Analysis, analyse, check_analyses
@@ -14,13 +13,13 @@ from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
-from .setup import Setup, load_setup, recording_info_for, setup_from_dict
+from .setup import Setup, load_setup, setup_from_dict
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
     from .result import Result
 
-__all__ = ["fit", "analyse_all"]
+__all__ = ["analyse_all", "check_arguments", "fit", "given_setup", "read_and_analyse"]
 
 
 def fit(
@@ -31,8 +30,6 @@ def fit(
     velocity: float | None = None,
     channel: str = "average",
     intervals: str = "laplace",
-    recipe: str = "default",
-    evaluations: int | None = None,
     seed: int = 0,
     progress: Progress | bool | None = None,
     analyses: Sequence[Analysis] | None = None,
@@ -50,9 +47,6 @@ def fit(
     velocity : measured hammer velocity of a single recording, m/s. It is not fitted.
     channel : channel of files: "average", "left", "right", or "1" to "8".
     intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
-    recipe : `default`, or a recipe of the paper for one recording, without intervals: `paper`, its three steps, or
-        `global`, its criterion over the whole spectrum.
-    evaluations : evaluations of the criterion by the annealing of recipe `paper`; 20,000 if None.
     seed : seed of the search and of the posterior draws. The same seed gives the same result.
     progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal and a line
         in a notebook.
@@ -82,23 +76,15 @@ def fit(
     ('m/s', 'fitted', True)
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
-    _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed, progress)
-    setup = _load_setup(setup)
-    _check_bounds(setup, velocity)
-    with progress_bar(progress) as report:
-        report("reading", 0.0)
-        sounds = load_recordings(recordings, channel)
-        report("partials", 0.02)
-        analyses = analyse_all(sounds, note, f0) if analyses is None else list(analyses)
-        if recipe != "default":
-            from .bensa2005.recipes import fit_bensa2005
+    check_arguments(recordings, analyses, velocity, seed, progress)
+    check_type("intervals=", intervals, str, "a text, such as 'laplace'")
+    if intervals != "laplace":
+        from .inference import check_intervals
 
-            if velocity is None:
-                velocity = recording_info_for(setup, sounds[0].path, alone=True).v_H0
-            return fit_bensa2005(
-                sounds[0], analyses[0], replace(setup, recordings=()), recipe, velocity=velocity,
-                evaluations=evaluations, seed=seed, progress=report,
-            )  # fmt: skip
+        check_intervals(intervals)
+    setup = given_setup(setup, velocity)
+    with progress_bar(progress) as report:
+        sounds, analyses = read_and_analyse(recordings, analyses, channel, note, f0, report)
         from .inference import run_inference
         from .modal_response import fit_modal_response
         from .result import build_result
@@ -121,18 +107,10 @@ def analyse_all(
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
 
 
-def _load_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
-    if setup is None or isinstance(setup, Setup):
-        return setup or Setup()
-    check_type("setup=", setup, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
-    return setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
-
-
-def _check(
-    recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, intervals: str,
-    recipe: str, evaluations: int | None, seed: int, progress: Any,
-) -> None:  # fmt: skip
-    """Reject invalid arguments and combinations."""
+def check_arguments(
+    recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, seed: int, progress: Any
+) -> None:
+    """Reject invalid arguments and combinations, before a file is read."""
     check_process()
     if not recordings:
         raise ParameterError("no recording was given; give one, or several of one key")
@@ -146,24 +124,34 @@ def _check(
         raise ParameterError(
             f"velocity={velocity} m/s needs a single recording; for several give v_H0 in [[recording]] of the setup"
         )
-    check_type("recipe=", recipe, str, "a text, such as 'default'")
-    check_type("intervals=", intervals, str, "a text, such as 'laplace'")
-    if recipe != "default" or evaluations is not None:
-        from .bensa2005.recipes import check_recipe
-
-        check_recipe(recipe, evaluations)
-        if recipe != "default" and len(recordings) > 1:
-            raise ParameterError(f"recipe={recipe!r} fits one recording; {len(recordings)} were given")
-    if intervals != "laplace":
-        from .inference import check_intervals
-
-        check_intervals(intervals, recipe)
 
 
-def _check_bounds(setup: Setup, velocity: float | None) -> None:
-    """Reject a measured velocity outside the bounds of the setup."""
+def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: float | None) -> Setup:
+    """Read the setup in any form. Raise a `SetupError` for a measured `velocity`, m/s, outside its bounds."""
+    if setup is None:
+        setup = Setup()
+    elif not isinstance(setup, Setup):
+        kinds = Mapping | str | os.PathLike
+        check_type("setup=", setup, kinds, "a Setup, tables as in a setup.toml, or the path of one")
+        setup = setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
     low, high = setup.bounds.get("v_H0", (0.0, math.inf))
     if velocity is not None and not low <= velocity <= high:
         raise SetupError(
             f"velocity={velocity} m/s is outside [bounds] v_H0 = [{low:g}, {high:g}] of the setup; change one of them"
         )
+    return setup
+
+
+def read_and_analyse(
+    recordings: Sequence[Source],
+    analyses: Sequence[Analysis] | None,
+    channel: str,
+    note: str | int | None,
+    f0: float | None,
+    progress: Progress,
+) -> tuple[list[Recording], list[Analysis]]:
+    """Read the recordings, and analyse them unless `analyses` are given."""
+    progress("reading", 0.0)
+    sounds = load_recordings(recordings, channel)
+    progress("partials", 0.02)
+    return sounds, analyse_all(sounds, note, f0) if analyses is None else list(analyses)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from .errors import ParameterError, check_range
 from .felt import law_of
 from .io.files import PEAK_LIMIT
+from .literature import preset
 from .model import Simulation, simulate
 from .model.note import MAX_SECONDS, check_render
 from .model.simulate import MAX_STEPS
@@ -23,7 +24,7 @@ from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
 from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, RecordingInfo, Setup
 
-__all__ = ["SyntheticRecording", "setup_of", "setup_text", "synthetic_recording"]
+__all__ = ["SyntheticRecording", "demo_recording", "setup_of", "setup_text", "synthetic_recording"]
 
 # s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
@@ -41,6 +42,7 @@ class SyntheticRecording:
 
     samples: np.ndarray  # [samples], ±1 = full scale
     rate: int  # Hz
+    onset: int  # sample of the first contact
     scale: float  # pickup units (m/s, m or N) at full scale
     setup: Setup
     true: dict[str, float]  # parameters of string and hammer, by name
@@ -121,10 +123,33 @@ def synthetic_recording(
     note = stroke.waveform(rate, round(seconds * rate) - lead)
     scale = _scale(note, scale)
     samples = np.pad(note / scale, (lead, 0)) + _noise(note / scale, noise_db, seed, rate, lead)
-    names = (*String._fields, *law_of(hammer).hammer_parameters)
-    true = {key: float(value) for key, value in {**string._asdict(), **hammer._asdict()}.items() if key in names}
     setup = setup_of(hammer, geometry, quantity, scale, name)
-    return SyntheticRecording(samples, rate, scale, setup, true, stroke, name)
+    return SyntheticRecording(samples, rate, lead, scale, setup, _values(string, hammer), stroke, name)
+
+
+def demo_recording(noise_db: float | None = 60.0, seed: int = 0) -> SyntheticRecording:
+    """The recording of the demo: the final values of the paper, with a setup that starts from its initial values.
+
+    Parameters
+    ----------
+    noise_db : rms of the first second of the note over rms of the noise. If None, no noise.
+    seed : seed of the noise.
+    """
+    final, initial = preset("bensa-final"), preset("bensa-initial")
+    rate, lead, scale = 44_100, 2_205, 2.0  # Hz; samples of silence, 0.05 s; m/s at full scale
+    stroke = simulate(final.string, final.hammer, final.geometry, rate=rate, oversampling=32)
+    note = stroke.waveform(rate, 3 * rate) / scale
+    samples = np.pad(note, (lead, 0)) + _noise(note, noise_db, seed, rate, lead)
+    setup = setup_of(final.hammer, final.geometry, "velocity", scale, "synthetic.wav")
+    setup = replace(setup, initial=_values(initial.string, initial.hammer), recordings=(), felt=None)
+    true = _values(final.string, final.hammer)
+    return SyntheticRecording(samples, rate, lead, scale, setup, true, stroke, "synthetic.wav")
+
+
+def _values(string: String, hammer: Any) -> dict[str, float]:
+    """The parameters of string and hammer by name."""
+    names = (*String._fields, *law_of(hammer).hammer_parameters)
+    return {key: float(value) for key, value in {**string._asdict(), **hammer._asdict()}.items() if key in names}
 
 
 def _stroke(string: String, hammer: Any, geometry: Geometry, rate: int, quantity: str) -> Simulation:

@@ -25,10 +25,7 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = [
-    "Annealed", "AnnealingState", "Schedule", "anneal", "annealing", "cost_temperature", "generate", "jump_cdf",
-    "temperatures",
-]  # fmt: skip
+__all__ = ["Annealed", "AnnealingState", "Schedule", "anneal", "annealing"]
 
 # A shorter jump is lost in the rounding of the coordinates, box widths.
 COLDEST = 1e-15
@@ -105,9 +102,16 @@ def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarr
 
 
 def annealing(
-    cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarray, *, chains: int = 16, evaluations: int,
-    seed: int = 0, start: np.ndarray | None = None, schedule: Schedule | None = None,
-) -> Iterator[AnnealingState]:  # fmt: skip
+    cost: Callable[[np.ndarray], Any],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    chains: int = 16,
+    evaluations: int,
+    seed: int = 0,
+    start: np.ndarray | None = None,
+    schedule: Schedule | None = None,
+) -> Iterator[AnnealingState]:
     """Yield the state after each step. The same seed gives the same states.
 
     Parameters
@@ -195,18 +199,21 @@ def cost_temperature(state: AnnealingState, schedule: Schedule) -> np.ndarray:
 def _step(problem: _Problem, state: AnnealingState) -> AnnealingState:
     """Every chain tries one jump and, with some probability, looks at another chain."""
     chains, free = state.width.shape
-    u = problem.rng.random(
-        (chains, 2 * free + 5)
-    )  # a fixed count, so that the stream does not depend problem earlier branches
+    # A fixed count, so that the stream does not depend on earlier branches.
+    u = problem.rng.random((chains, 2 * free + 5))
     temperature = cost_temperature(state, problem.schedule)
     z = _trial(problem, state, u[:, :free], u[:, free:-3])
     new = problem.cost(z)
     accepted = u[:, -3] < acceptance(_increase(new, state.cost), temperature)
     z, new = np.where(accepted[:, None], z, state.z), np.where(accepted, new, state.cost)
     state = replace(
-        state, z=z, cost=new, accepted=state.accepted + accepted, steps=state.steps + 1,
+        state,
+        z=z,
+        cost=new,
+        accepted=state.accepted + accepted,
+        steps=state.steps + 1,
         evaluations=state.evaluations + chains,
-    ).with_lower_best(accepted, z, new)  # fmt: skip
+    ).with_lower_best(accepted, z, new)
     # Rare at first, so that the chains explore independently. Most frequent at the end, so that they refine together.
     rate = 2 * problem.schedule.exchanges * state.steps / state.length**2
     if chains == 1 or not problem.schedule.exchanges:
@@ -308,10 +315,17 @@ def _initial_state(
     if schedule.reanneal and schedule.exponent > 0:
         length /= 1 + len(problem.free) / schedule.reanneal
     return AnnealingState(
-        z=z[first], cost=costs[first], best_z=z[lowest], best_cost=costs[lowest],
-        width=np.ones((chains, len(problem.free))), cost_start=np.full(chains, temperature), accepted=np.ones(chains),
-        steps=1, length=max(int(length), 1), evaluations=costs.size,
-    )  # fmt: skip
+        z=z[first],
+        cost=costs[first],
+        best_z=z[lowest],
+        best_cost=costs[lowest],
+        width=np.ones((chains, len(problem.free))),
+        cost_start=np.full(chains, temperature),
+        accepted=np.ones(chains),
+        steps=1,
+        length=max(int(length), 1),
+        evaluations=costs.size,
+    )
 
 
 def _spread(costs: np.ndarray) -> float:

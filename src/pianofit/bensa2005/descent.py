@@ -41,9 +41,14 @@ class DescentResult(NamedTuple):
 
 
 def gradient_descent(
-    value_and_gradient: Callable, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, iterations: int,
+    value_and_gradient: Callable,
+    z: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    iterations: int,
     tolerance: float = 1e-9,
-) -> DescentResult:  # fmt: skip
+) -> DescentResult:
     """Minimise `value_and_gradient(z [D]) -> (cost, gradient [D])` from `z`, with one evaluation in each iteration.
 
     The cost never rises, and every trial point lies in `lower` <= z <= `upper` [D]. A point at which cost or gradient
@@ -124,8 +129,14 @@ class LeastSquares(NamedTuple):
         # SciPy accepts a function here, but its annotation allows only str.
         slopes: Any = lambda part: at(part.tobytes())[1]  # noqa: E731
         end = least_squares(
-            lambda part: at(part.tobytes())[0], z[free], slopes, method="dogbox", x_scale="jac",
-            bounds=(self.lower[free], self.upper[free]), ftol=tolerance, max_nfev=evaluations,
-        )  # fmt: skip
+            lambda part: at(part.tobytes())[0],
+            z[free],
+            slopes,
+            method="dogbox",
+            x_scale="jac",
+            bounds=(self.lower[free], self.upper[free]),
+            ftol=tolerance,
+            max_nfev=evaluations,
+        )
         z[free] = end.x
         return DescentResult(z, float(end.cost), bool(end.status > 0), int(end.nfev))

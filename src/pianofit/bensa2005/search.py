@@ -118,9 +118,17 @@ class Search:
         """Eq. 19 on the given bands."""
         r, a = self.recording, self.analysis
         return spectral_goal(
-            r.samples[r.onset :], r.rate, a.f0, a.B, self.last, sigma, bands=bands, delay=self.delay,
-            unit=self.start.scale or 1.0, calibrated=self.calibrated,
-        )  # fmt: skip
+            r.samples[r.onset :],
+            r.rate,
+            a.f0,
+            a.B,
+            self.last,
+            sigma,
+            bands=bands,
+            delay=self.delay,
+            unit=self.start.scale or 1.0,
+            calibrated=self.calibrated,
+        )
 
     # --- points and the box -------------------------------------------------------------------------------------------
 
@@ -199,9 +207,14 @@ class Search:
         """
         problem = self.hammer_search(x)
         end = anneal(
-            problem.costs, problem.lower, problem.upper, chains=CHAINS, evaluations=evaluations, seed=seed,
+            problem.costs,
+            problem.lower,
+            problem.upper,
+            chains=CHAINS,
+            evaluations=evaluations,
+            seed=seed,
             start=x[STRING:],
-        )  # fmt: skip
+        )
         self.evaluations += end.evaluations
         if not np.isfinite(end.cost):
             raise FitError(NO_HAMMER)

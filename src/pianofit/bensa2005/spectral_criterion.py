@@ -109,9 +109,18 @@ class FixedString(NamedTuple):
 
 
 def spectral_goal(
-    samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float, *, bands: Sequence[int] = (0, 1, 2),
-    delay: float = 0.0, unit: float = 1.0, calibrated: bool = True,
-) -> Goal:  # fmt: skip
+    samples: np.ndarray,
+    rate: float,
+    f0: float,
+    B: float,
+    last: int,
+    sigma: float,
+    *,
+    bands: Sequence[int] = (0, 1, 2),
+    delay: float = 0.0,
+    unit: float = 1.0,
+    calibrated: bool = True,
+) -> Goal:
     """Return the `Goal` of a recording.
 
     Parameters
@@ -140,10 +149,14 @@ def spectral_goal(
     weight = np.sqrt(spacing / (spacing[:, None] * energy**2).sum())
     padding = 0 if len(rows) == 1 else -len(rows) % ROWS
     fields = (
-        np.pad(frequency, ((0, padding), (0, 0)), mode="edge"), np.pad(energy, ((0, padding), (0, 0))),
+        np.pad(frequency, ((0, padding), (0, 0)), mode="edge"),
+        np.pad(energy, ((0, padding), (0, 0))),
         np.pad(np.tile(weight[:, None], frequency.shape[1]), ((0, padding), (0, 0))),
-        sigma, math.exp(2 * sigma * delay), n / rate + delay, float(calibrated),
-    )  # fmt: skip
+        sigma,
+        math.exp(2 * sigma * delay),
+        n / rate + delay,
+        float(calibrated),
+    )
     return Goal(*(np.asarray(x, float) for x in fields))
 
 
@@ -199,9 +212,15 @@ def _smooth(goal: Goal, step: Array) -> Array:
 
 
 def _residuals(
-    z: Float[Array, " 5"], mobility: Array, rows: Array | None, modes: Modes, pushed: Callable, goal: Goal,
-    scene: SearchConstants, cfg: StaticConfig,
-) -> Float[Array, " bins"]:  # fmt: skip
+    z: Float[Array, " 5"],
+    mobility: Array,
+    rows: Array | None,
+    modes: Modes,
+    pushed: Callable,
+    goal: Goal,
+    scene: SearchConstants,
+    cfg: StaticConfig,
+) -> Float[Array, " bins"]:
     """Residuals for a hammer on a string; `pushed` gives real and imaginary part of T̂ at the Chebyshev nodes.
 
     They are infinite for a contact that does not end and for a felt stiffness out of bounds.

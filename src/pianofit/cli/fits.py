@@ -5,12 +5,12 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..conversions import HALF_WIDTH_95
-from ..errors import OutputError
+from ..errors import OutputError, ParameterError
 from ..io.files import (
     check_sound_target,
     check_target,
@@ -127,21 +127,44 @@ def fit(
     as_json: options.Json = False,
 ) -> None:
     """Estimate string and hammer parameters from one or several recordings of a key."""
-    from ..fitting import fit as run
     from ..model.program_cache import enable_program_cache
     from .summary import summary
 
     check_velocity(velocity)
     check_seed(seed)
+    _check_recipe(recipe, evaluations, intervals, len(recordings))
     with output_folder(out, force) as folder, progress_bar() as progress:
         enable_program_cache()
-        result = run(
-            *recordings, setup=_setup_with_felt(setup, felt), note=note, f0=f0, velocity=velocity, channel=channel,
-            recipe=recipe, evaluations=evaluations, intervals=intervals, seed=seed, progress=progress,
-        )  # fmt: skip
+        given: dict[str, Any] = {
+            "setup": _setup_with_felt(setup, felt),
+            "note": note,
+            "f0": f0,
+            "velocity": velocity,
+            "channel": channel,
+            "seed": seed,
+            "progress": progress,
+        }
+        if recipe == "default":
+            from ..fitting import fit as run
+
+            result = run(*recordings, **given, intervals=intervals)
+        else:
+            from ..bensa2005 import fit as fit_by_paper
+
+            result = fit_by_paper(recordings[0], **given, method=recipe, evaluations=evaluations)
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
     print_result(result.document, summary(result.document, folder), as_json)
+
+
+def _check_recipe(recipe: str, evaluations: int | None, intervals: str, recordings: int) -> None:
+    """Reject options that the recipe does not have."""
+    if evaluations is not None and recipe != "paper":
+        raise ParameterError(f"evaluations={evaluations} needs an annealing: use recipe='paper'")
+    if recipe != "default" and recordings > 1:
+        raise ParameterError(f"recipe={recipe!r} fits one recording; {recordings} were given")
+    if recipe != "default" and intervals != "laplace":
+        raise ParameterError(f"intervals={intervals!r} requires the default recipe; recipe={recipe!r} has no intervals")
 
 
 def _setup_with_felt(setup: Path | None, felt: str | None) -> Setup:

@@ -77,15 +77,15 @@ def demo(
     check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..bensa2005.laboratory import make_synthetic_recording, setup_text
         from ..fitting import fit
         from ..model.program_cache import enable_program_cache
+        from ..synthetic import demo_recording, setup_text
 
         enable_program_cache()
         progress("synthesis", 0.0)
-        synthetic = make_synthetic_recording(noise, seed)
+        synthetic = demo_recording(noise, seed)
         replace_file(folder / "synthetic.wav", encode_wav(synthetic.samples, synthetic.rate))
-        replace_file(folder / "setup.toml", setup_text().encode())
+        replace_file(folder / "setup.toml", setup_text(synthetic.setup).encode())
         result = fit(folder / "synthetic.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
         progress("page", 0.95)
         result.save(folder, force=True)
@@ -95,25 +95,6 @@ def demo(
         f"pianofit fit {folder / 'synthetic.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
     print_result(result.document | {"true": synthetic.true}, words, as_json)
-
-
-def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page, index.html, and its files.")],
-    seed: Seed = 0,
-    force: Force = False,
-    quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
-) -> None:
-    """Test the tables, figures and claims of the paper on synthetic recordings, and write one page."""
-    check_seed(seed)
-    with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..bensa2005.reproduce import FULL, QUICK
-        from ..bensa2005.reproduce import reproduce as run
-
-        claims = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
-    for claim in claims:
-        instead = f" ({claim.instead})" if claim.instead else ""
-        typer.echo(f"{claim.word:17} {claim.claim}{instead}")
-    typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
 # In the order of the help, each with the example of its own help.
@@ -133,7 +114,6 @@ COMMANDS = {
     sounds.render: "pianofit render fitted/fit.json --velocity 3 --out harder.wav",
     listening.listen: "pianofit listen recorded fitted --out test",
     demo: "pianofit demo --out demo",
-    reproduce: "pianofit reproduce --out paper",
 }
 for command, example in COMMANDS.items():
     add(app, command, example)

@@ -141,8 +141,8 @@ def run_inference(
     return InferenceResult(problem, estimate, seed, compute_intervals(problem, estimate, intervals, seed, progress))
 
 
-def check_intervals(method: str, recipe: str = "default") -> None:
-    """Reject an unknown method, a recipe without intervals, and a sampler that is not installed.
+def check_intervals(method: str) -> None:
+    """Reject an unknown method, and a sampler that is not installed.
 
     Raises
     ------
@@ -151,8 +151,6 @@ def check_intervals(method: str, recipe: str = "default") -> None:
     """
     if method not in METHODS:
         raise ParameterError(f"intervals={method!r} must be one of {', '.join(METHODS)}")
-    if method != METHODS[0] and recipe != "default":
-        raise ParameterError(f"intervals={method!r} requires the default recipe; recipe={recipe!r} has no intervals")
     if method == "posterior":
         from .nuts import check_sampler
 

@@ -17,7 +17,7 @@ __all__ = ["Count", "count_answers"]
 LARGEST_FILE = 2**24
 # Confidence of the intervals.
 CONFIDENCE = 0.95
-HINT = "give a file that a page of pianofit listen or pianofit reproduce saved"
+HINT = "give a file that a page of pianofit listen saved"
 
 
 class Count(NamedTuple):

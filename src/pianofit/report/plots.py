@@ -83,7 +83,7 @@ class Plots:
         _ = self.result.covariance
         data = identifiability_of(self.result)
         if data is None:
-            raise FitError("this fit has no intervals and therefore no correlations; fit with recipe='default'")
+            raise FitError("this fit has no intervals and therefore no correlations; use the default recipe")
         axes = drawn_on(ax, lambda axes: draw_correlations(axes, data), None, (6.4, 5.6))
         axes.set(xlabel="logarithm of the parameter", ylabel="logarithm of the parameter")
         if label is not None:

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
-from ... import __version__
-from ...io.files import encode_wav, replace_file, write_error
-from ...io.table_output import write_csv
-from ...listening.page import ListeningSound, Question, write_listening
-from ...model.program_cache import enable_program_cache
-from ...parameters import PARAMETERS
-from ...report.drawing import page_style, png, svg
-from ...report.html import data_uri, write_page
-from ...report.sound import Clip, make_clips
-from ..laboratory import chosen
-from .claims import SYMBOLS, WORDS, Claim, judge
-from .direct import NOTE
-from .figures import FIGURES
+from pianofit import __version__
+from pianofit.io.files import encode_wav, replace_file, write_error
+from pianofit.io.number_format import format_relative_uncertainty, number
+from pianofit.io.table_output import write_csv
+from pianofit.listening.page import ListeningSound, Question, write_listening
+from pianofit.model.program_cache import enable_program_cache
+from pianofit.parameters import PARAMETERS
+from pianofit.report.drawing import page_style, png, svg
+from pianofit.report.html import data_uri, write_page
+from pianofit.report.sound import Clip, make_clips
+
+from .claims import WORDS, Claim, judge
+from .direct import NOTE, ROUND_TRIP
+from .figures import FIGURES, SYMBOLS
+from .findings import FULL, Findings, Plan, compute
+from .hammer_search import WITHIN
+from .laboratory import SCALE
 from .strokes import RECIPES, SOUNDS, Stroke
-from .studies import FULL, Findings, Plan, compute
 from .tables import tables
 
 __all__ = ["reproduce"]
@@ -30,8 +33,11 @@ SECONDS = 2.2  # length of each sound on the pages, s
 LEAD = 0.05  # s of silence before each sound of the listening test
 # Sounds at velocities that were not fitted: name -> name on the page.
 PREDICTED = {
-    "measured": "measured", "paper": "predicted, three bands", "read": "predicted, string read", "initial": "initial",
-}  # fmt: skip
+    "measured": "measured",
+    "paper": "predicted, three bands",
+    "read": "predicted, string read",
+    "initial": "initial",
+}
 # Pairs of the listening test: which of the two sounds is nearer the measured one? Only one stroke has the last pair.
 PAIRS = (("paper", "initial"), ("paper", "global"), ("read", "initial"), ("read", "global"), ("default", "read"))
 
@@ -73,12 +79,27 @@ def reproduce(
     files += [f"sounds/{_file(name, clip.name)}" for name, clips in players.items() for clip in clips]
     _write_test(folder, findings)
     write_page(
-        folder / "index.html", "index.html.j2", package="pianofit.bensa2005.reproduce", styles=("claims.css",),
-        scripts=("audio.js", "player.js"), filters={"symbol": _symbol},
-        title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=findings, claims=claims,
-        words=WORDS, figures=figures, tables=numbers, players=players, files=files, recipes=RECIPES, note=NOTE,
-        scale=chosen.SCALE,
-    )  # fmt: skip
+        folder / "index.html",
+        "index.html.j2",
+        package="studies.bensa2005",
+        styles=("page.css",),
+        scripts=("audio.js", "player.js"),
+        filters=FILTERS,
+        title="Parameter fitting for piano sound synthesis, reproduced",
+        version=__version__,
+        f=findings,
+        claims=claims,
+        words=WORDS,
+        figures=figures,
+        tables=numbers,
+        players=players,
+        files=files,
+        recipes=RECIPES,
+        note=NOTE,
+        trip=ROUND_TRIP,
+        within=WITHIN,
+        scale=SCALE,
+    )
     progress("done", 1.0)
     return [*claims.values()]
 
@@ -96,7 +117,7 @@ def played(folder: Path, name: str, stroke: Stroke, names: dict[str, str]) -> li
     """Write the sounds of a stroke at their own levels, and return clips of equal loudness for the page."""
     rate, sounds = stroke.recording.rate, {label: stroke.sounds[sound] for sound, label in names.items()}
     for label, samples in sounds.items():
-        replace_file(folder / _file(name, label), encode_wav(samples / chosen.SCALE, rate))
+        replace_file(folder / _file(name, label), encode_wav(samples / SCALE, rate))
     return make_clips({label: _cut(samples, rate) for label, samples in sounds.items()}, rate)
 
 
@@ -113,6 +134,23 @@ def _symbol(name: str) -> str:
     return RECIPES.get(name, name)
 
 
+def _listed(values: Iterable[float], digits: int = 3, scale: float = 1) -> str:
+    *most, last = [number(scale * float(v), digits) for v in values]
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 2)} %"
+
+
+def _factor(deviation: float) -> str:
+    """Format a standard deviation of the logarithm."""
+    return format_relative_uncertainty(deviation, "a factor {}").removeprefix("± ")
+
+
+FILTERS = {"symbol": _symbol, "letter": SYMBOLS.get, "listed": _listed, "percent": _percent, "factor": _factor}
+
+
 def _write_test(folder: Path, f: Findings) -> None:
     """Write `listening.html`."""
     questions, rate = [], f.origin.recording.rate
@@ -124,11 +162,16 @@ def _write_test(folder: Path, f: Findings) -> None:
         questions += [Question(sounds["measured"], (sounds[a], sounds[b])) for a, b in PAIRS if a in sounds]
         questions.append(Question(sounds["measured"], (sounds["measured"], sounds["initial"]), 1))
     write_listening(
-        folder / "listening.html", questions, rate, LEAD, f.seed, program="pianofit reproduce",
-        about="the sounds of “pianofit reproduce”",
+        folder / "listening.html",
+        questions,
+        rate,
+        LEAD,
+        f.seed,
+        program="python -m studies.bensa2005",
+        about="the sounds of the reproduction of Bensa et al. (2005)",
         origin="synthetic measurements of pianofit, which replace the paper's: those are not public",
         key=folder / "listening-key.json",
-    )  # fmt: skip
+    )
 
 
 def _cut(samples: np.ndarray, rate: int) -> np.ndarray:

@@ -42,8 +42,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 
-from ..errors import FitError, ParameterError
-from ..parameters import FIT_NAMES, Geometry, Hammer, String
+from pianofit.errors import FitError, ParameterError
+from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 
 __all__ = ["Reference", "Signals", "solve"]
 

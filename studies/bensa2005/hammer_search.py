@@ -1,7 +1,7 @@
 """Band 3, in which the paper reports local minima: the criterion over a plane, and a comparison of search methods.
 
 The string is fixed at its true values, so that only the five parameters of the hammer are searched. This is the third
-step of the recipe `paper`, with the same criterion and the same box around the paper's initial values. All searches
+step of the method `paper`, with the same criterion and the same box around the paper's initial values. All searches
 have the same starts: the paper's own, and others at random in the box.
 
 - Gradient descent with a line search, as in the paper (IV.C.1), and least squares, a stronger method that the paper did
@@ -17,18 +17,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from ...inference import starting_values
-from ...parameters import FIT_NAMES, STRING_NAMES
-from ..annealing import anneal
-from ..descent import DescentResult, LeastSquares, gradient_descent
-from ..laboratory import INITIAL
-from ..search import make_search
+from pianofit.bensa2005.annealing import anneal
+from pianofit.bensa2005.descent import DescentResult, LeastSquares, gradient_descent
+from pianofit.bensa2005.search import make_search
+from pianofit.inference import starting_values
+from pianofit.parameters import FIT_NAMES, STRING_NAMES
+
+from .laboratory import INITIAL
 from .strokes import Stroke
 
 __all__ = [
-    "WITHIN", "CriterionPlane", "HammerSearch", "SearchComparison", "criterion_plane", "hammer_search",
+    "WITHIN",
+    "CriterionPlane",
+    "HammerSearch",
+    "SearchComparison",
+    "criterion_plane",
+    "hammer_search",
     "search_comparison",
-]  # fmt: skip
+]
 
 HAMMERS = ("F", "mu", "p", "M_H", "v_H0")  # coordinates, all as logarithms; F: the force at the reference compression
 CHAINS = 16
@@ -58,9 +64,8 @@ class CriterionPlane(NamedTuple):
     first: np.ndarray  # log of the first coordinate over its true value [n]
     second: np.ndarray
     criterion: np.ndarray  # [n, n]
-    minima: list[
-        DescentResult
-    ]  # z [2] in the units of `first` and `second`; confirmed by least squares from grid minima
+    # z [2] in the units of `first` and `second`; confirmed by least squares from minima of the grid.
+    minima: list[DescentResult]
 
 
 class SearchComparison(NamedTuple):
@@ -126,11 +131,11 @@ def search_comparison(
     ends = {method: np.array([end.cost for end in results]) for method, results in methods.items()}
     inside = [end for end in squares if ((end.z > lower + EDGE) & (end.z < upper - EDGE)).all()]
     return SearchComparison(
-        {"start": search.costs(z)} | ends, sum(end.converged for end in descents),
+        {"start": search.costs(z)} | ends,
+        sum(end.converged for end in descents),
         _distinct([end for end in inside if np.isfinite(end.cost)]),
-        {"gradient": max(end.evaluations for end in descents),
-         "annealing": max(end.evaluations for end in annealings)},
-    )  # fmt: skip
+        {"gradient": max(end.evaluations for end in descents), "annealing": max(end.evaluations for end in annealings)},
+    )
 
 
 def _descended(search: LeastSquares, z: np.ndarray) -> list[DescentResult]:

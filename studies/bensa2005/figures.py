@@ -11,15 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from ...report.build import spectrum_db
-from ...report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
-from .band3 import WITHIN
-from .claims import SPANS, SYMBOLS
-from .direct import ROUND_TRIP
-from .strokes import SOUNDS
-from .studies import PRINTED, STRINGS, Findings
+from pianofit.report.build import spectrum_db
+from pianofit.report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
 
-__all__ = ["FIGURES"]
+from .claims import SPANS
+from .direct import ROUND_TRIP
+from .findings import PRINTED, STRINGS, Findings
+from .hammer_search import WITHIN
+from .strokes import SOUNDS
+
+__all__ = ["FIGURES", "SYMBOLS"]
+
+SYMBOLS = {
+    "c": "c",
+    "kappa": "κ",
+    "b1": "b₁",
+    "b2": "b₂",
+    "K_H": "K_H",
+    "mu": "μ",
+    "p": "p",
+    "M_H": "M_H",
+    "v_H0": "v₀",
+}
 
 WIDTH = 11.25  # inches; the page shows it 1128 pixels wide
 GREY = "#9aa3ad"
@@ -150,9 +163,14 @@ def velocity_spectra(f: Findings, rows: list[Any]) -> None:
 
 
 @drawn(
-    "band-3", 5.6, key=False, xscale="log", yscale="log", xlabel="hammer mass, relative to the true value",
+    "band-3",
+    5.6,
+    key=False,
+    xscale="log",
+    yscale="log",
+    xlabel="hammer mass, relative to the true value",
     ylabel="felt stiffness (as force), relative to the true value",
-)  # fmt: skip
+)
 def criterion_plane(f: Findings, axes: Any) -> None:
     """The criterion of band 3 over two coordinates, with its minima."""
     plane = f.plane
@@ -166,27 +184,47 @@ def criterion_plane(f: Findings, axes: Any) -> None:
         look = {"marker": "o", "ms": 9} if n else {"marker": "*", "ms": 17}
         axes.plot(*at, color="white", mec="black", mew=1.0, ls="none", **look)
         side = "right" if minimum.z[1] > 0.8 * plane.second[-1] else "left"
-        axes.annotate(f"{minimum.cost:.2g}", at, xytext=(0, 11), ha=side, color="white", textcoords="offset points",
-                      fontsize=9.5, fontweight="bold")  # fmt: skip
+        axes.annotate(
+            f"{minimum.cost:.2g}",
+            at,
+            xytext=(0, 11),
+            ha=side,
+            color="white",
+            textcoords="offset points",
+            fontsize=9.5,
+            fontweight="bold",
+        )
     for axis in (axes.xaxis, axes.yaxis):
         log_axis(axis)
     axes.grid(visible=False)
     scale = [t for t in (-4, -3, -2, -1.5, -1, -0.5, 0) if t >= levels[0]]
-    axes.figure.colorbar(shown, ax=axes, fraction=0.03, pad=0.01, label="criterion in band 3", ticks=scale,
-                         format=lambda t, _: f"{10.0**t:.2g}")  # fmt: skip
+    axes.figure.colorbar(
+        shown,
+        ax=axes,
+        fraction=0.03,
+        pad=0.01,
+        label="criterion in band 3",
+        ticks=scale,
+        format=lambda t, _: f"{10.0**t:.2g}",
+    )
 
 
 @drawn(
-    "searches", 4.8, yscale="log", xlabel="searches of each method, sorted by their final criterion",
+    "searches",
+    4.8,
+    yscale="log",
+    xlabel="searches of each method, sorted by their final criterion",
     ylabel="criterion in band 3",
-)  # fmt: skip
+)
 def searches(f: Findings, axes: Any) -> None:
     """Final criterion of every search, sorted for each method."""
     for name, label, color, marker in (
-        ("start", "start", GREY, "x"), ("gradient", "gradient descent", INITIAL, "s"),
-        ("squares", "least squares", PURPLE, "^"), ("annealed", "annealing", FITTED, "o"),
+        ("start", "start", GREY, "x"),
+        ("gradient", "gradient descent", INITIAL, "s"),
+        ("squares", "least squares", PURPLE, "^"),
+        ("annealed", "annealing", FITTED, "o"),
         ("polished", "annealing, then least squares", GLOBAL, "D"),
-    ):  # fmt: skip
+    ):
         value = np.clip(np.sort(f.search_comparison.ends[name]), None, 10.0)
         inside = "none" if name == "polished" else color
         axes.plot(1 + np.arange(len(value)), value, color=color, marker=marker, ms=6, lw=1.0, label=label, mfc=inside)
@@ -239,10 +277,12 @@ def predicted_levels(f: Findings, axes: Any) -> None:
     groups = [
         ([stroke.closeness[kind].level_db for stroke in f.predictions.values()], color, label)
         for kind, color, label in (
-            ("initial", INITIAL, "initial values"), ("nearest", GREY, f"the recording at {origin}"),
-            ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{SOUNDS['read']}, at {origin}"),
+            ("initial", INITIAL, "initial values"),
+            ("nearest", GREY, f"the recording at {origin}"),
+            ("paper", FITTED, f"three bands at {origin}"),
+            ("read", PURPLE, f"{SOUNDS['read']}, at {origin}"),
         )
-    ]  # fmt: skip
+    ]
     for group in bars(axes, [f"{velocity:g} m/s" for velocity in f.predictions], groups, 0.2):
         axes.bar_label(group, fmt="%.2g", fontsize=8.5, padding=2)
     axes.margins(x=0.02)
@@ -299,10 +339,7 @@ def b2_over_decades(f: Findings, axes: Any) -> None:
     result = f.b2_sensitivity
     for (band, label), color, stroke in zip(BANDS.items(), (GLOBAL, FITTED, INITIAL), (":", "-", "--"), strict=True):
         axes.plot(result.b2, result.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
-        low, high = (
-            result.noise[band] - result.spread[band],
-            result.noise[band] + result.spread[band],
-        )
+        low, high = (result.noise[band] - result.spread[band], result.noise[band] + result.spread[band])
         axes.axhspan(max(low, 1e-12), high, color=color, alpha=0.15, lw=0)
     axes.axvline(result.true, **TRUTH)
     across = axes.get_xaxis_transform()

@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
-from ..laboratory import FINAL, INITIAL, SyntheticMeasurement, chosen
-from .band3 import PLANE_AXES
+from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
+
+from . import body
 from .claims import SPANS
+from .findings import PRINTED, STRINGS, Findings
+from .hammer_search import PLANE_AXES
+from .laboratory import FINAL, INITIAL, RATE, SyntheticMeasurement
 from .strokes import RECIPES, SOUNDS, values_of
-from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["Table", "tables"]
 
@@ -40,11 +42,11 @@ def _chosen(f: Findings) -> Table:
         ("pickup position, m", g.pickup, "not near a node of the first partials"),
         ("initial κ, m²/s", float(INITIAL.string.kappa), "final value: Table II has no initial value"),
         ("length of the signals, s", f.plan.seconds, "arbitrary"),
-        ("sampling rate, Hz", chosen.RATE, "common; the paper mentions a digital tape"),
+        ("sampling rate, Hz", RATE, "common; the paper mentions a digital tape"),
         ("contact steps of the laboratory, Hz, at least", f.plan.contact_rate, "far higher than in a fit"),
-        ("second polarisation: angle, degrees", chosen.ANGLE, "aftersound at a level common for pianos"),
-        ("second polarisation: detuning, cents", chosen.CENTS, "slow beating"),
-        ("bridge: number of resonators", len(chosen.RESONATORS), "add one to two times b₁ to some decay rates"),
+        ("second polarisation: angle, degrees", body.ANGLE, "aftersound at a level common for pianos"),
+        ("second polarisation: detuning, cents", body.CENTS, "slow beating"),
+        ("bridge: number of resonators", len(body.RESONATORS), "add one to two times b₁ to some decay rates"),
         ("relaxing felt: share ε", lab.eps, "same loss as the paper's μ"),
         ("relaxing felt: time τ, s", lab.tau, "long enough to affect reflections"),
         ("noise, dB below the level of the first second", lab.noise_db, "white, with some 1/f"),
@@ -71,17 +73,14 @@ def _parameters(f: Findings) -> dict[str, Table]:
     fits = {f"{lab}: {RECIPES[r]}": result for lab, stroke in f.tables.items() for r, result in stroke.results.items()}
     values = {f"paper: {column}": printed for column, printed in PRINTED.items()} | {"truth": f.true}
     values |= {column: values_of(result) for column, result in fits.items()}
-    own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
+    own = {column: fit.parameters for column, fit in fits.items() if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
-    within = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
+    within = [(p, *(x for table in own.values() for x in (table[p].interval or (None, None)))) for p in FIT_NAMES]
     shares = [(band, k, share) for band, by_partial in f.origin.shares().items() for k, share in by_partial.items()]
     return {
         name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
         for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
-    } | {
-        "shares": Table(("band", "partial", "share"), shares),
-        "intervals": Table(("parameter", *ends), within),
-    }  # fmt: skip
+    } | {"shares": Table(("band", "partial", "share"), shares), "intervals": Table(("parameter", *ends), within)}
 
 
 def _band3(f: Findings) -> dict[str, Table]:

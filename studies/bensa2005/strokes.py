@@ -13,37 +13,49 @@ the whole spectrum would depend on the leakage of the window.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ...analysis import Analysis, analyse, law_frequency
-from ...criterion import BANDS, SpectralCells, band_of, band_values, damping_for, measure
-from ...errors import ParameterError
-from ...inference import run_inference, starting_values
-from ...model.note import Note
-from ...parameters import FIT_NAMES, STRING_NAMES
-from ...recording.recording import Recording, recording_from_samples
-from ...result import Result, build_result
-from ...result.comparison import audible_partials
-from ...setup import Setup, setup_from_dict
-from ..laboratory import Measurement, SyntheticMeasurement, setup_text
-from ..laboratory import measure as record
-from ..recipes import fit_bensa2005
+import pianofit
+from pianofit import bensa2005
+from pianofit.analysis import Analysis, analyse, law_frequency
+from pianofit.criterion import BANDS, SpectralCells, band_of, band_values, damping_for, measure
+from pianofit.errors import ParameterError
+from pianofit.inference import starting_values
+from pianofit.model.note import Note
+from pianofit.parameters import FIT_NAMES, STRING_NAMES
+from pianofit.recording.recording import Recording, recording_from_samples
+from pianofit.result import Result
+from pianofit.result.comparison import audible_partials
+from pianofit.setup import Setup
+
+from .laboratory import Measurement, SyntheticMeasurement
+from .laboratory import measure as record
 
 __all__ = [
-    "RECIPES", "SOUNDS", "Closeness", "Stroke", "attack_time", "centroid", "fitted", "measured", "rms", "values_of",
-]  # fmt: skip
+    "RECIPES",
+    "SOUNDS",
+    "Closeness",
+    "Stroke",
+    "attack_time",
+    "centroid",
+    "fitted",
+    "measured",
+    "rms",
+    "values_of",
+]
 
 # recipe -> name on the page. `read` is the paper's third step on a string determined from the partials.
 RECIPES = {
-    "global": "global criterion", "paper": "three bands", "read": "three bands, string read",
+    "global": "global criterion",
+    "paper": "three bands",
+    "read": "three bands, string read",
     "default": "default recipe",
-}  # fmt: skip
+}
 # sound -> name on the page.
 SOUNDS = {"measured": "measured", "initial": "initial"} | RECIPES
 # Difference between the seeds of two annealings; measurements have the seeds in between.
@@ -128,7 +140,7 @@ def measured(lab: SyntheticMeasurement, velocity: float, seed: int, start: float
     """Measure and analyse a stroke of `velocity`, m/s. The initial velocity is the sensor's reading or `start`, m/s."""
     measurement = record(lab, velocity, seed)
     recording = recording_from_samples(measurement.samples, measurement.rate, name=f"{velocity:g} m/s")
-    setup = setup_from_dict(tomllib.loads(setup_text(measurement.scale, measurement.nominal_velocity)), "laboratory")
+    setup = measurement.setup()
     if start is not None:
         setup = replace(setup, initial=setup.initial | {"v_H0": start})
     sound = recording.samples[recording.onset :] * measurement.scale
@@ -143,25 +155,24 @@ def fitted(stroke: Stroke, recipe: str, seed: int, annealing: int | None = None,
     annealing : evaluations of each annealing; the default of the recipe if None.
     tries : number of annealings, each with its own seed. The one with the lowest criterion in band 3 is returned.
     """
-    data, setup = (stroke.recording, stroke.analysis), stroke.setup
+    setup = stroke.setup
     if recipe == "default":
-        return build_result(run_inference([stroke.recording], [stroke.analysis], setup, seed=seed))
-    if recipe == "global":
-        return fit_bensa2005(*data, setup, recipe, seed=seed)
+        return pianofit.fit(stroke.recording, analyses=[stroke.analysis], setup=setup, seed=seed, progress=False)
     if recipe == "read":
         # The string is fixed at the values determined from the frequencies and decay rates of the partials.
         values = starting_values(stroke.analysis, setup).values
         initial = {name: value for name, value in setup.initial.items() if name not in STRING_NAMES}
         setup = replace(setup, fixed={name: values[name] for name in STRING_NAMES}, initial=initial)
-    results = [
-        fit_bensa2005(*data, setup, "paper", evaluations=annealing, seed=seed + SEED_STEP * n) for n in range(tries)
-    ]
-    return min(results, key=lambda result: result.document["criterion"]["band3"]["final"])
+    run = partial(bensa2005.fit, stroke.recording, analysis=stroke.analysis, setup=setup, progress=False)
+    if recipe == "global":
+        return run(method="global", seed=seed)
+    results = [run(evaluations=annealing, seed=seed + SEED_STEP * n) for n in range(tries)]
+    return min(results, key=lambda result: result.reference.criterion["band3"]["final"])
 
 
 def values_of(result: Result) -> dict[str, float]:
     """Return the nine fitted parameters."""
-    return {name: float(result.document["parameters"][name]["value"]) for name in FIT_NAMES}
+    return {name: result.parameters[name].value for name in FIT_NAMES}
 
 
 def rms(values: np.ndarray) -> float:

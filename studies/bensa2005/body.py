@@ -20,10 +20,50 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
 
-from ...parameters import Geometry, String
-from .chosen import ANGLE, CENTS, SLOWER, Resonator
+from pianofit.parameters import Geometry, String
 
-__all__ = ["Axis", "Body", "make_axes", "make_body", "window_weights"]
+__all__ = [
+    "ANGLE",
+    "CENTS",
+    "RESONATORS",
+    "SLOWER",
+    "Axis",
+    "Body",
+    "Resonator",
+    "make_axes",
+    "make_body",
+    "window_weights",
+]
+
+# The second polarisation. The principal axes of the supports are turned by ANGLE against the hammer. The pickup
+# measures along the hammer, so the second axis lies at tan² 20° = -17.6 dB relative to the first, a common level of the
+# aftersound of piano notes (Weinreich 1977). Its losses are a quarter, because supports are stiffer along the
+# soundboard. It is CENTS sharp: the fifth partial beats with a period of 1.1 s, the first with one of 5.7 s.
+ANGLE = 20.0  # degrees
+CENTS = 2.0
+SLOWER = 0.25  # b1 and b2 of the second axis, over those of the first
+
+
+class Resonator(NamedTuple):
+    """One damped mode of the support at the end of the string."""
+
+    frequency: float  # Hz
+    mass: float  # effective, at the end of the string, kg
+    quality: float  # Q = ω m / R
+    direction: float  # of its motion, degrees from the string's first axis
+
+
+# The paper's support is concrete with a piece of bridge on it, and "not totally uncoupled" from the string. A resonance
+# adds 2 f0 (M_S c/L) Q/(m ω) to the decay rate of a partial: 0.7 to 1.1 1/s here, one to two times b1 of the string.
+# The resonances are arbitrary: near partials 2, 7, 11 and 16, and between 4 and 5. Masses fall with frequency, because
+# ever smaller parts of the support move.
+RESONATORS = (
+    Resonator(300.0, 8.0, 30.0, 10.0),
+    Resonator(690.0, 5.0, 30.0, -25.0),
+    Resonator(1085.0, 3.0, 30.0, 15.0),
+    Resonator(1710.0, 2.0, 30.0, -10.0),
+    Resonator(2560.0, 1.5, 30.0, 30.0),
+)
 
 
 class Axis(NamedTuple):

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import find_peaks
 
-from ...literature import preset
-from ...model import Simulation, simulate
-from ...report.build import spectrum_db
+from pianofit.literature import preset
+from pianofit.model import Simulation, simulate
+from pianofit.report.build import spectrum_db
+
 from .strokes import centroid
 
 __all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strike"]
@@ -72,9 +73,16 @@ def strike(velocity: float) -> Strike:
     sound = simulation.waveform(RATE, int(SECONDS * RATE))
     frequency, level = spectrum_db(sound, RATE, SHOWN)
     return Strike(
-        velocity=velocity, time=step * np.arange(len(force))[shown], force=force[shown], compression=gap[shown],
-        contact=simulation.contact_time, maxima=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
+        velocity=velocity,
+        time=step * np.arange(len(force))[shown],
+        force=force[shown],
+        compression=gap[shown],
+        contact=simulation.contact_time,
+        maxima=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
         loop=float(0.5 * ((force[1:] + force[:-1]) * np.diff(gap)).sum()),
-        balance=before - after - float(pulse.work), hammer_energy=before,
-        frequency=frequency, level=level, centroid=centroid(sound, RATE, float(NOTE.f0)),
-    )  # fmt: skip
+        balance=before - after - float(pulse.work),
+        hammer_energy=before,
+        frequency=frequency,
+        level=level,
+        centroid=centroid(sound, RATE, float(NOTE.f0)),
+    )

@@ -1,7 +1,7 @@
 """Compare the paper's recipes and the default recipe on synthetic recordings.
 
-    python benchmarks/recipes_study.py                    the demo and three strokes of the laboratory, 10 seeds
-    python benchmarks/recipes_study.py --seeds 3 --evaluations 5000 --json study.json
+    python -m studies.bensa2005.recipes                   the demo and three strokes of the laboratory, 10 seeds
+    python -m studies.bensa2005.recipes --seeds 3 --evaluations 5000 --json study.json
 
 For each recording the table gives the criterion (eq. 19, 0 equal, 1 silence) of the sounds in each band, and the errors
 of the parameters in per cent. `paper` is `--recipe paper`, over seeds of its annealing: medians, then the least and the
@@ -14,23 +14,24 @@ from __future__ import annotations
 import argparse
 import json
 import time
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 import pianofit
-from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples, setup_from_dict
-from pianofit.bensa2005.laboratory import SyntheticMeasurement, make_synthetic_recording, measure, setup_text
-from pianofit.bensa2005.recipes import fit_by_paper
+from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples
+from pianofit.bensa2005.method import search_parameters
 from pianofit.bensa2005.search import make_search, split
 from pianofit.criterion import band_values, damping_for
 from pianofit.criterion import measure as energies
-from pianofit.inference.initial_values import starting_values
+from pianofit.inference import starting_values
 from pianofit.model import simulate
 from pianofit.model.program_cache import enable_program_cache
 from pianofit.parameters import FIT_NAMES
+from pianofit.synthetic import demo_recording
+
+from .laboratory import SyntheticMeasurement, measure
 
 VELOCITIES = (0.618, 0.844, 1.299)
 # Levels are compared over partials to this frequency, Hz,
@@ -52,18 +53,18 @@ class Measured(NamedTuple):
 
 def measurements(velocities: tuple[float, ...] = VELOCITIES) -> list[Measured]:
     """Return the demo and the strokes of the laboratory, all with the paper's initial values."""
-    demo = make_synthetic_recording(60.0, seed=0)
-    cases = [_measured("demo", demo.samples, demo.rate, setup_text(), demo.true)]
+    demo = demo_recording(60.0, seed=0)
+    cases = [_measured("demo", demo.samples, demo.rate, demo.setup, demo.true)]
     for velocity in velocities:
         stroke = measure(SyntheticMeasurement(), velocity, seed=0)
-        text = setup_text(stroke.scale, stroke.nominal_velocity)
-        cases.append(_measured(f"laboratory, {velocity} m/s", stroke.samples, stroke.rate, text, stroke.true))
+        name = f"laboratory, {velocity} m/s"
+        cases.append(_measured(name, stroke.samples, stroke.rate, stroke.setup(), stroke.true))
     return cases
 
 
-def _measured(name: str, samples: np.ndarray, rate: int, setup: str, true: dict[str, float]) -> Measured:
+def _measured(name: str, samples: np.ndarray, rate: int, setup: Setup, true: dict[str, float]) -> Measured:
     recording = recording_from_samples(samples, rate, name=name)
-    return Measured(name, recording, analyse(recording), setup_from_dict(tomllib.loads(setup), name), true)
+    return Measured(name, recording, analyse(recording), setup, true)
 
 
 class Closeness(NamedTuple):
@@ -79,7 +80,7 @@ def fit(case: Measured, recipe: str, seed: int, evaluations: int) -> np.ndarray:
         table = pianofit.fit(case.recording, analyses=[case.analysis], setup=case.setup, seed=seed).parameters
         return np.array([table[name].value for name in FIT_NAMES])
     start, more = starting_values(case.analysis, case.setup), evaluations if recipe == "paper" else None
-    end = fit_by_paper(case.recording, case.analysis, start, recipe, evaluations=more, seed=seed)
+    end = search_parameters(case.recording, case.analysis, start, recipe, evaluations=more, seed=seed)
     return np.array([*end.string, *end.hammer])
 
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ...parameters import FIT_NAMES
-from ..laboratory import FINAL, INITIAL, SyntheticMeasurement, chosen
-from .band3 import CriterionPlane, SearchComparison, criterion_plane, hammer_search, search_comparison
+from pianofit.parameters import FIT_NAMES
+
 from .direct import VELOCITIES, Strike, mass_for_contact, strike
+from .hammer_search import CriterionPlane, SearchComparison, criterion_plane, hammer_search, search_comparison
+from .laboratory import FINAL, INITIAL, SyntheticMeasurement, values_by_name
 from .limits import (
     ALL,
     BAND2,
@@ -31,13 +32,15 @@ LONG = 3e-3  # duration of the contact that the paper gives, s
 NOISE_DB = 60.0  # the default of the laboratory, also for the ideal one
 # Effects that the paper's model does not describe. Each is added alone to the noise.
 EFFECTS: dict[str, dict[str, Any]] = {
-    "none": {}, "second polarisation": {"polarisation": True}, "compliant bridge": {"bridge": True},
+    "none": {},
+    "second polarisation": {"polarisation": True},
+    "compliant bridge": {"bridge": True},
     "relaxing felt": {"felt": "memory"},
-}  # fmt: skip
+}
 # Tables II and III as printed. The paper gives no initial κ.
 PRINTED = {
-    column: {name: value for name, value in chosen.by_name(preset).items() if name not in missing}
-    for column, preset, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
+    "initial": {name: value for name, value in values_by_name(INITIAL).items() if name != "kappa"},
+    "final": values_by_name(FINAL),
 }
 
 
@@ -80,10 +83,22 @@ class Plan:
 
 FULL = Plan()
 QUICK = Plan(
-    velocities=(0.844, 1.1), listening=(0.844,), repeats=2, effects=("none", "relaxing felt"), effect_recipes=STRINGS,
-    grid=13, starts=2, iterations=10, evaluations=640, noises=2, losses=8, annealing=500, tries=1, seconds=1.0,
+    velocities=(0.844, 1.1),
+    listening=(0.844,),
+    repeats=2,
+    effects=("none", "relaxing felt"),
+    effect_recipes=STRINGS,
+    grid=13,
+    starts=2,
+    iterations=10,
+    evaluations=640,
+    noises=2,
+    losses=8,
+    annealing=500,
+    tries=1,
+    seconds=1.0,
     contact_rate=2e5,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -167,14 +182,23 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
     plane = criterion_plane(problem, plan.grid)
     tick("band 3, the searches")
     return Findings(
-        seed=seed, plan=plan, strikes=struck, needed_mass=needed, tables=by_table, strokes=strokes,
+        seed=seed,
+        plan=plan,
+        strikes=struck,
+        needed_mass=needed,
+        tables=by_table,
+        strokes=strokes,
         predictions={v: _predicted(origin, stroke) for v, stroke in strokes.items() if stroke is not origin},
-        repeated=repeated, effects=effects | {"all": origin}, plane=plane,
+        repeated=repeated,
+        effects=effects | {"all": origin},
+        plane=plane,
         search_comparison=search_comparison(
             problem, plan.starts, seed, iterations=plan.iterations, evaluations=plan.evaluations
         ),
-        dispersion_errors=biased, inverse=inverse_dispersion_error(BAND2), b2_sensitivity=blind,
-    )  # fmt: skip
+        dispersion_errors=biased,
+        inverse=inverse_dispersion_error(BAND2),
+        b2_sensitivity=blind,
+    )
 
 
 def _predicted(origin: Stroke, other: Stroke) -> Stroke:

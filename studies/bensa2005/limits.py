@@ -17,16 +17,23 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from ...criterion import SpectralCells, band_values, damping_for, measure
-from ...model import mode_table, simulate
-from ...parameters import String
-from ..laboratory import FINAL, SyntheticMeasurement, chosen
-from ..laboratory import measure as record
+from pianofit.criterion import SpectralCells, band_values, damping_for, measure
+from pianofit.model import mode_table, simulate
+from pianofit.parameters import String
+
+from .laboratory import FINAL, RATE, SyntheticMeasurement
+from .laboratory import measure as record
 
 __all__ = [
-    "ALL", "BAND2", "GRIDS", "B2Sensitivity", "DispersionError", "b2_sensitivity", "dispersion_errors",
+    "ALL",
+    "BAND2",
+    "GRIDS",
+    "B2Sensitivity",
+    "DispersionError",
+    "b2_sensitivity",
+    "dispersion_errors",
     "inverse_dispersion_error",
-]  # fmt: skip
+]
 
 # (kind of table, N, rate in Hz). The paper gives neither N nor rate. The claims use the first.
 GRIDS = tuple(
@@ -113,12 +120,12 @@ def b2_sensitivity(lab: SyntheticMeasurement, seed: int, *, repeats: int, values
     f0, B = float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
 
     def energies(sound: np.ndarray) -> tuple[SpectralCells, np.ndarray]:
-        return measure(sound, chosen.RATE, f0, B, int(ALL[-1]), damping_for(f0))
+        return measure(sound, RATE, f0, B, int(ALL[-1]), damping_for(f0))
 
     def by_model(b2: float) -> tuple[SpectralCells, np.ndarray]:
         string = FINAL.string._replace(b2=b2)
-        simulation = simulate(string, FINAL.hammer, FINAL.geometry, rate=chosen.RATE, oversampling=OVERSAMPLING)
-        return energies(simulation.waveform(chosen.RATE, round(lab.seconds * chosen.RATE)))
+        simulation = simulate(string, FINAL.hammer, FINAL.geometry, rate=RATE, oversampling=OVERSAMPLING)
+        return energies(simulation.waveform(RATE, round(lab.seconds * RATE)))
 
     measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
     recorded = [energies(m.samples[m.onset :] * m.scale)[1] for m in measured]

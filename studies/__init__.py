@@ -1,0 +1,1 @@
+"""Studies that are run from a clone. The installed package does not contain them."""
