@@ -31,22 +31,21 @@ USES = {
     "criterion": "analysis",
     "model": "dsp felt io parameters threads",
     "synthetic": "felt io model parameters recording setup",
-    "modal_response_file": "io model",
-    "fit_file": "felt io modal_response_file model parameters",
+    "schema": "felt io model parameters",
     "inference": "analysis felt io literature model parameters progress recording setup threads",
-    "result": "analysis criterion felt fit_file inference io model parameters recording setup threads",
-    "modal_response": "analysis modal_response_file model recording result threads",
-    "report": "analysis felt fit_file io modal_response modal_response_file model parameters result",
+    "result": "analysis criterion felt schema inference io model parameters recording setup threads",
+    "modal_response": "analysis model recording result threads",
+    "report": "analysis felt schema io modal_response model parameters result",
     "listening": "io recording report",
     "bensa2005": "analysis criterion felt inference io listening literature model parameters recording report"
     " result setup",
     "fitting": "analysis bensa2005 inference modal_response parameters progress recording result setup threads",
-    "instrument": "analysis fit_file io literature modal_response_file model parameters report",
+    "instrument": "analysis schema io literature model parameters report",
     "playback": "felt instrument io model parameters threads",
     "export": "analysis instrument io model playback report threads",
     "web": "analysis instrument io model parameters playback recording report",
     "batch": "analysis fitting io model parameters recording report",
-    "cli": "analysis batch bensa2005 export felt fit_file fitting instrument io listening literature model parameters"
+    "cli": "analysis batch bensa2005 export felt schema fitting instrument io listening literature model parameters"
     " playback progress recording report result setup synthetic threads web",
     "__main__": "cli",
 }
