@@ -6,7 +6,7 @@ Each function takes a result and computes the curves that it draws.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray,
 
 
 def draw_spectra(result: Result) -> list[Figure]:
-    """Draw the spectra; two panels if the last band is much wider than the others, so that the first partials are visible."""
+    """Draw the spectra: two panels if the last band is much wider than the others, to show the first partials."""
     edges = _band_edges(result.fit.criterion, _highest_frequency(result))
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     limits = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
@@ -280,7 +280,7 @@ def _contact(result: Result) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np
     # 10 % longer than the last contact.
     steps = max(int(1.1 * stroke.last_touch / float(stroke.modes.step)) + 2 for stroke in strokes.values())
 
-    def padded(values: np.ndarray) -> np.ndarray:
+    def padded(values: Any) -> np.ndarray:
         values = np.asarray(values)[:steps]
         return np.pad(values, (0, steps - len(values)), constant_values=np.nan)
 

@@ -14,7 +14,7 @@ from ..io.number_format import counted, number
 from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
 from ..model.decay import decays_and_beats
 from ..result import Result
-from ..schema.modal_response import FittedModalResponse
+from ..schema.modal_response import FittedModalResponse, RenderModel
 from .drawing import FITTED, HEIGHT, INITIAL, LINES, make_figure, panel, span
 
 if TYPE_CHECKING:
@@ -33,7 +33,11 @@ __all__ = [
     "spectrograms_of",
 ]
 
-LABELS = {"string model": "string model alone", "modes": "modes", "modes and knock": "modes and knock"}
+LABELS: dict[RenderModel, str] = {
+    "string model": "string model alone",
+    "modes": "modes",
+    "modes and knock": "modes and knock",
+}
 ENVELOPES = 6  # partials whose envelopes are shown
 ENVELOPE_SECONDS = 3.0  # after the onset
 MARGIN_SECONDS = 0.2  # kept at both ends for the analysis windows

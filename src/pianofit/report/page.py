@@ -20,9 +20,8 @@ from ..io.number_format import number
 from ..parameters import PARAMETERS
 from ..result import Result
 from ..schema.decode import builtins_of
-from ..schema.fit import Fit
 from ..schema.quantities import Quantities
-from . import identifiability, text
+from . import text
 from .drawing import page_style, svg
 from .equations import equations
 from .figures import draw_attacks, draw_contact, draw_partials, draw_reference_levels, draw_spectra
@@ -153,7 +152,8 @@ def _clips(result: Result) -> list[Clip]:
     recorded = recording.samples if reference.final.frames is None else recording.frames
     # Few listeners can play more than two channels.
     sounds = {
-        name: x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0) for name, x in ({"original": recorded} | fitted).items()
+        name: x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
+        for name, x in ({"original": recorded} | fitted).items()
     }
     seconds = SECONDS if all(x.ndim == 1 for x in sounds.values()) else STEREO_SECONDS
     return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds)

@@ -238,7 +238,7 @@ def _draw_ratio(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str
     ratio = second[0] - first[0]
     half = np.hypot(second[2] - second[0], first[2] - first[0])
     low, centre, high = (np.exp(np.clip(x, -100.0, 100.0)) for x in (ratio - half, ratio, ratio + half))
-    u, labels = laws[0].compression_mm, _escape_labels(labels)
+    u, (first_label, second_label) = laws[0].compression_mm, _escape_labels(labels)
     axes.fill_between(u, low, high, color=INK, alpha=0.15, lw=0)
     axes.plot(u, centre, color=INK, lw=1.3)
     axes.axhline(1.0, color=INK, lw=0.8, ls=":")
@@ -247,5 +247,5 @@ def _draw_ratio(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str
     margin = 0.08 * (top - bottom) + 1e-6
     axes.set_ylim(max(bottom - margin, 1 / LARGEST_RATIO), min(top + margin, LARGEST_RATIO))
     axes.set(ylabel="ratio", xlabel="compression of the felt (mm)")
-    text = f"{labels[1]} over {labels[0]}"
+    text = f"{second_label} over {first_label}"
     axes.text(0.99, 0.05, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8.5, color=INK)

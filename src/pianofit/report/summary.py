@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..analysis import nearest_note
 from ..io.number_format import columns, format_with_interval
+from ..model import Simulation
 from ..result import Result
 from ..schema.fit import Recontact, RecordingFit
 from ..schema.quantities import Quantities
@@ -23,7 +24,7 @@ def fit_summary(result: Result) -> str:
     # Invariants come first, because they do not depend on assumed sizes or velocities.
     lines += [line for table in (fit.invariants, fit.parameters) for line in _quantity_lines(table)]
     derived, levels, criterion = fit.derived, fit.levels, fit.criterion
-    contact = contact_text(derived.contact_ms, derived.recontacts)
+    contact = _contact(derived.contact_ms, derived.recontacts)
     lines.append(f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)}), B {derived.B:.4g}, {contact}")
     hammer = levels.reference_hammer_db
     only = "" if hammer is None else f", initial hammer {hammer:.2f} dB"
@@ -39,10 +40,14 @@ def fit_summary(result: Result) -> str:
     return "\n".join([*lines, "" if fit.converged else "NOT CONVERGED", *fit.warnings]) + "\n"
 
 
-def contact_text(contact_ms: float, recontacts: Sequence[Recontact]) -> str:
-    """Return the duration of the first contact, and the recontacts."""
-    again = recontact_text(recontacts)
-    return f"contact {contact_ms:.2f} ms" + (f"; {again}" if again else "")
+def contact_text(strike: Simulation) -> str:
+    """Return the duration of the first contact of a simulated strike, and its recontacts."""
+    again = [Recontact(1e3 * c.start, 1e3 * (c.stop - c.start), c.force) for c in strike.contacts[1:]]
+    return _contact(1e3 * strike.contact_time, again)
+
+
+def _contact(contact_ms: float, recontacts: Sequence[Recontact]) -> str:
+    return "; ".join(filter(None, (f"contact {contact_ms:.2f} ms", recontact_text(recontacts))))
 
 
 def _quantity_lines(table: Quantities) -> list[str]:

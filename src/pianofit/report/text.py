@@ -114,7 +114,9 @@ def minima(fit: Fit) -> tuple[list[tuple[str, str]], list[tuple[str, str, list[s
 
 def groups(fit: Fit) -> list[tuple[str, str, str, list[str]]]:
     """List (status, mark, explanation, symbols) of each status that occurs."""
-    symbols = {status: [SYMBOLS.get(n, n) for n, q in fit.parameters.items() if q.status == status] for status in STATUS}
+    symbols = {
+        status: [SYMBOLS.get(n, n) for n, q in fit.parameters.items() if q.status == status] for status in STATUS
+    }
     return [(status, *STATUS[status], names) for status, names in symbols.items() if names]
 
 
