@@ -94,9 +94,9 @@ def simulate(
     write_file(out, encode_wav(recording.samples, rate), force)
     if setup_out is not None:
         write_file(setup_out, recording.setup_text.encode(), force)
-    force = float(recording.simulation.pulse.force.max())
+    largest = float(recording.simulation.pulse.force.max())
     typer.echo(
-        f"{out}: {seconds:g} s, largest force {force:.3g} N, {contact_text(recording.simulation)}, "
+        f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
         f"full scale {recording.scale:.4g} {UNITS[quantity]}"
     )
 
