@@ -173,7 +173,7 @@ def _predict(fit: Path, file: Path, out: Path | None, channel: str, force: bool)
     """Predict the recording `file` from a `fit.json`. Write the predicted sound to `out`, if given."""
     from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
     from ..model.program_cache import enable_program_cache
-    from ..result.alignment import estimate_contact_onset
+    from ..result.comparison import estimate_contact_onset
     from ..result.prediction import predict_recording
 
     if out is not None:
