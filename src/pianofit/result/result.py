@@ -229,6 +229,12 @@ class Result:
             f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
         )
 
+    def summary(self) -> str:
+        """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""
+        from ..report.summary import fit_summary
+
+        return fit_summary(self)
+
     @property
     def plot(self) -> Any:
         """Figures: `plot.spectrum()`, `force()`, `felt()`, `levels()`, `envelopes()`, `correlations()`.
