@@ -175,7 +175,7 @@ def predict(
     """Predict a recording that took no part in the fit. Only velocity, gain and pitch are free."""
     from ..model.program_cache import enable_program_cache
     from ..result import Result
-    from ..result.alignment import estimate_contact_onset
+    from ..result.comparison import estimate_contact_onset
 
     if out is not None:
         check_sound_target(out, force)
