@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from ..analysis import Analysis
     from ..result.cross_validation import CrossValidation
 
-__all__ = ["analyse", "compare", "cross_validate", "fit", "predict"]
-
 
 def analyse(
     file: Annotated[

@@ -27,8 +27,6 @@ from .terminal import add, print_error, print_result
 if TYPE_CHECKING:
     from ..result import Result
 
-__all__ = ["app", "main", "run"]
-
 # Columns of a help text, if the terminal has them; and of the descriptions that a shell completes. A description must
 # stay on one line: fish reads a second line as another command.
 WIDEST, UNBROKEN = 120, 10_000

@@ -17,8 +17,6 @@ from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
 if TYPE_CHECKING:
     from ..literature import Preset
 
-__all__ = ["render", "simulate"]
-
 # Units of the recorded quantities. The model represents pressure by the force on the bridge.
 UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
 

@@ -19,8 +19,6 @@ from ..schema.fit import Fit
 from ..schema.quantities import MEANINGS, UNITS
 from .text import SYMBOLS, VELOCITY_RATIO, format_unit
 
-__all__ = ["Equation", "Symbol", "equations", "formula_html", "symbols"]
-
 
 class Equation(NamedTuple):
     """One line of the box."""

@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Spectrograms",
-    "decay_rows",
-    "draw_envelope",
-    "draw_envelopes",
-    "draw_spectrograms",
-    "envelopes_of",
-    "modal_response_line",
-    "modal_response_text",
-    "spectrograms_of",
-]
-
 LABELS: dict[RenderModel, str] = {
     "string model": "string model alone",
     "modes": "modes",

@@ -35,8 +35,6 @@ from .static_law import draw_felt
 if TYPE_CHECKING:
     from ..result.cross_validation import CrossValidation
 
-__all__ = ["Strokes", "draw_figures", "report_bytes", "strokes_of"]
-
 # Length of the sounds of the reference recording in stereo, s; in mono it is `SECONDS`.
 STEREO_SECONDS = 5.0
 # Samples of the sounds of all other recordings together: 2 MB.

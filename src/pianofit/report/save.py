@@ -20,8 +20,6 @@ from .page import report_bytes
 if TYPE_CHECKING:
     from ..result.cross_validation import CrossValidation
 
-__all__ = ["save", "stroke_names", "write_page"]
-
 # Largest sound that is copied, bytes.
 LARGEST_SOUND = 2**30
 

@@ -38,17 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "StaticLaw",
-    "compared_laws",
-    "draw_compared_laws",
-    "draw_felt",
-    "draw_static_law",
-    "largest_compression",
-    "shared_covariance",
-    "static_law",
-]
-
 # Points of the law, and of the loop of a stroke: more than a picture resolves.
 LAW_POINTS, LOOP_POINTS = 48, 400
 SMALLEST_REACH = 1e-12  # m, of a law, also without contact
