@@ -23,7 +23,7 @@ from pianofit.instrument import build_instrument, find_fits, load_instrument, lo
 from pianofit.instrument.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback.voice import damper_rate
-from pianofit.result.alignment import fractional_lag
+from pianofit.result.comparison import fractional_lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]

@@ -13,7 +13,7 @@ from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
-from .setup import Setup, load_setup, setup_from_dict
+from .setup import Setup, to_setup
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
@@ -128,12 +128,7 @@ def check_arguments(
 
 def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: float | None) -> Setup:
     """Read the setup in any form. Raise a `SetupError` for a measured `velocity`, m/s, outside its bounds."""
-    if setup is None:
-        setup = Setup()
-    elif not isinstance(setup, Setup):
-        kinds = Mapping | str | os.PathLike
-        check_type("setup=", setup, kinds, "a Setup, tables as in a setup.toml, or the path of one")
-        setup = setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
+    setup = to_setup(setup)
     low, high = setup.bounds.get("v_H0", (0.0, math.inf))
     if velocity is not None and not low <= velocity <= high:
         raise SetupError(

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from ..export import ExportSummary
     from ..export.faust import FaustSummary
 
-__all__ = ["export"]
-
 # Options whose names differ from those of `ExportOptions`.
 OPTION_NAMES = {"layers": "--velocity-layers", "kind": "--samples"}
 

@@ -14,8 +14,6 @@ from ..parameters import check_seed
 from .options import Force, Json, Seed, number, whole
 from .terminal import print_error, print_result
 
-__all__ = ["listen"]
-
 
 def listen(
     a: Annotated[

@@ -11,11 +11,6 @@ import typer
 from ..felt import LAWS
 from ..recording.recording import readable_formats
 
-__all__ = [
-    "RATE", "Built", "Channel", "Felt", "Force", "Json", "Note", "Pitch", "Prefix", "Recordings", "Seconds", "Seed",
-    "SetupFile", "Sound", "Velocity", "number", "choice", "whole",
-]  # fmt: skip
-
 
 def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
     """Return a parser that raises a usage error for an invalid text."""

@@ -1,4 +1,4 @@
-"""Comparison of a fit with its recordings: the paper's criterion, and the levels of the partials."""
+"""Comparison of a fit with its recordings: the paper's criterion, levels of the partials, and alignment in time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import correlate
 
 from ..analysis import Analysis
 from ..criterion import (
@@ -23,25 +24,40 @@ from ..inference import InferenceResult
 from ..inference.observation_tables import scatter_by_number
 from ..inference.parametrisation import STRING_SIZE
 from ..model.note import Note
+from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES
+from ..recording.onset import find_onset
 from ..recording.recording import Recording
-from .alignment import align_attack, estimate_contact_onset
-from .result import FittedRecording, RenderedFit
+from ..schema.fit import BandValue, Criterion, LevelErrors
+from .fitted_recording import FittedRecording, RenderedFit
 
-__all__ = ["RecordingComparison", "compare_recordings", "audible_partials", "pool_level_errors", "worse_bands"]
+__all__ = [
+    "RecordingComparison",
+    "align_attack",
+    "audible_partials",
+    "compare_recordings",
+    "estimate_contact_onset",
+    "fractional_lag",
+    "locate_template",
+    "pool_level_errors",
+    "worse_bands",
+]
 
-# Level errors that are reported: before the fit, after it, and of the initial hammer at its best path and velocities.
-LEVELS = ("initial_db", "fitted_db", "path_only_db")
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
 # and within this range of the strongest partial, dB, since other sounds lie below it.
 LEVEL_RANGE = 60.0
+# s of the attack that is simulated to estimate the contact, and s of noise before it.
+ATTACK_SECONDS, LEAD_SECONDS = 0.15, 0.05
+# s of noise that a recording must have before its onset to be used; otherwise white noise is.
+NOISE_SECONDS = 0.02
+# s of the attack that is aligned with a calibrated recording.
+ALIGNED_SECONDS = 0.05
 
 
-def worse_bands(criterion: dict) -> list[str]:
+def worse_bands(criterion: Criterion) -> list[str]:
     """Occupied bands, and `global`, in which the criterion did not decrease."""
-    names = [n for n in ("global", *BANDS) if n in criterion]
-    return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
+    return [name for name, band in criterion.bands.items() if band.final >= band.initial]
 
 
 def audible_partials(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
@@ -110,17 +126,25 @@ class RecordingComparison:
             level = level + 20 * np.log10(max(gain, 1e-15))
         return RenderedFit(note._replace(gain=gain), samples * gain, strike, level)
 
-    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: dict[str, np.ndarray]) -> FittedRecording:
-        """The recording with two sounds, the criterion, and level errors by name of `LEVELS`, one gain removed."""
+    def level_errors(
+        self, initial: np.ndarray, fitted: np.ndarray, reference_hammer: np.ndarray | None = None
+    ) -> LevelErrors:
+        """Rms errors of levels, dB [partials], with one gain removed from each."""
         chosen = audible_partials(self.analysis.partials.frequency, self.level)
-        errors = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
-        return FittedRecording(
-            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted),
-            dict.fromkeys(LEVELS) | errors | {"partials": int(chosen.sum())},
-        )  # fmt: skip
 
-    def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> dict:
-        """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are dropped.
+        def error(level: np.ndarray) -> float:
+            return level_error_db(level[chosen], self.level[chosen])
+
+        reference = None if reference_hammer is None else error(reference_hammer)
+        return LevelErrors(error(initial), error(fitted), reference, int(chosen.sum()))
+
+    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: LevelErrors) -> FittedRecording:
+        """The recording with two sounds, and the criterion of both."""
+        criterion = self._criterion(initial, fitted)
+        return FittedRecording(initial, fitted, self.level, self.recording, self.analysis, criterion, levels)
+
+    def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> Criterion:
+        """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are excluded.
 
         In an uncalibrated recording each sound has its best gain by the criterion.
         """
@@ -131,12 +155,12 @@ class RecordingComparison:
 
         before, after, number = values_of(initial), values_of(fitted), self.analysis.partials.number
         occupied = {"global", *(BANDS[b] for b in band_of(number))}
-        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in occupied}
-        return values | {
-            "dropped": [name for name in BANDS if name not in occupied],
-            "sigma": self.cells.sigma,
-            "borders": list(band_borders(self.analysis.f0, self.analysis.B, int(number.max()))),
-        }
+        return Criterion(
+            bands={name: BandValue(before[name], after[name]) for name in before if name in occupied},
+            excluded_bands=tuple(name for name in BANDS if name not in occupied),
+            sigma=self.cells.sigma,
+            borders=band_borders(self.analysis.f0, self.analysis.B, int(number.max())),
+        )
 
 
 def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralCells, np.ndarray]:
@@ -144,15 +168,16 @@ def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralC
     return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
 
-def pool_level_errors(levels: Sequence[dict]) -> dict:
+def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
     """Rms level errors over all recordings, dB, and the number of partials."""
-    count = np.array([x["partials"] for x in levels])
+    count = np.array([own.partials for own in levels])
 
-    def rms(name: str) -> float | None:
-        values = [x[name] for x in levels]
-        return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
+    def rms(values: Sequence[float]) -> float:
+        return float(np.sqrt((np.square(values) * count).sum() / count.sum()))
 
-    return {name: rms(name) for name in LEVELS} | {"partials": int(count.sum())}
+    initial, fitted = rms([own.initial_db for own in levels]), rms([own.fitted_db for own in levels])
+    reference = [own.reference_hammer_db for own in levels if own.reference_hammer_db is not None]
+    return LevelErrors(initial, fitted, rms(reference) if len(reference) == len(levels) else None, int(count.sum()))
 
 
 def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
@@ -168,7 +193,7 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = fit.level(start)
     fitted = np.asarray(problem.observed.level.value) - integrated.residual
-    path_only = None if problem.calibrated else fit.reference_hammer_level
+    reference_hammer = None if problem.calibrated else fit.reference_hammer_level
     compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
@@ -181,11 +206,10 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
         before = comparison.render(
             _note_at(fit, start, i), comparison.gain, begins, comparison.levels_at_partials(initial[i], columns)
         )
-        levels = {"initial_db": before.level, "fitted_db": after.level}
-        levels |= {} if path_only is None else {"path_only_db": comparison.levels_at_partials(path_only[i], columns)}
-        compared.append(
-            comparison.compare(before, after, {n: comparison.add_noise_floor(x) for n, x in levels.items()})
-        )
+        levels = [before.level, after.level]
+        levels += [] if reference_hammer is None else [comparison.levels_at_partials(reference_hammer[i], columns)]
+        errors = comparison.level_errors(*map(comparison.add_noise_floor, levels))
+        compared.append(comparison.compare(before, after, errors))
     return tuple(compared)
 
 
@@ -194,3 +218,59 @@ def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
     u, problem = fit.problem.parametrisation, fit.problem
     hammer = u.hammer(z, problem.structure.stroke[i])
     return Note(u.string(z), hammer, u.geometry_at(z), problem.initial_values.quantity, 1.0, None)
+
+
+# --- alignment of a simulated attack with a recorded one --------------------------------------------------------------
+
+
+def estimate_contact_onset(note: Note, strike: Simulation, recording: Recording) -> int:
+    """Sample index of the first contact, chosen so that the simulated stroke has the onset of the recording.
+
+    High partials of a stiff string arrive before the main wave. The noise decides how many of them the onset detector
+    finds. So the stroke is simulated in the noise before the onset, or in white noise of a fixed seed.
+    """
+    rate, onset = recording.rate, recording.onset
+    attack, before = recording.samples[onset:][: round(ATTACK_SECONDS * rate)], round(LEAD_SECONDS * rate)
+    sound = note.render_mono(strike, rate, len(attack))
+    sound = np.pad(sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300), (before, 0))
+    noise = recording.samples[: max(onset - round(0.001 * rate), 0)]
+    if len(noise) < NOISE_SECONDS * rate or noise.std() < 0.5 * recording.noise_rms:
+        noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, len(sound))
+    detected = find_onset(np.resize(np.append(noise, noise[::-1]), len(sound)) + sound, rate, 0.0)
+    return onset - max(detected - before, 0)
+
+
+def align_attack(note: Note, recording: Recording) -> float:
+    """Sample index of the first contact in a calibrated recording, by alignment of the simulated attack."""
+    count = round(ALIGNED_SECONDS * recording.rate)
+    model, _ = note.render_stroke(recording.rate, count)
+    begin = max(recording.onset - count, 0)
+    sound = recording.samples[begin : recording.onset + 2 * count]
+    if len(sound) <= count:
+        return recording.onset
+    start, sign = locate_template(model, sound)
+    return begin + start + fractional_lag(model, sign * sound[start : start + count])
+
+
+def fractional_lag(model: np.ndarray, sound: np.ndarray) -> float:
+    """Delay of `sound` relative to `model`, in samples, accurate to a hundredth; both [samples]."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(model))))
+    oversampling = 16
+    cross = np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj()
+    correlation = np.fft.irfft(cross, oversampling * size)
+    peak = int(np.argmax(correlation))
+    before, top, after = correlation[peak - 1], correlation[peak], correlation[(peak + 1) % len(correlation)]
+    lag = peak + 0.5 * (before - after) / (before - 2 * top + after)
+    return float((lag if lag < len(correlation) / 2 else lag - len(correlation)) / oversampling)
+
+
+def locate_template(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
+    """Position of `model` in the longer `sound` with the least residual energy, and its sign; both [samples], one unit.
+
+    Unlike the peak of a correlation, the residual counts the silence before an attack. A position one period late
+    leaves the first period unexplained. The sign is -1 for a pickup of opposite polarity.
+    """
+    energy = np.concatenate([[0.0], np.cumsum(sound**2)])
+    cross = correlate(sound, model, "valid", "fft")
+    start = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
+    return start, float(np.sign(cross[start]))

@@ -2,128 +2,84 @@
 
 from __future__ import annotations
 
-import copy
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..analysis import Analysis, Partials
+from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
-from ..io.files import printable, reference_row
+from ..io.files import printable
 from ..io.number_format import counted
-from ..model import Simulation
-from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..recording.recording import Recording, Source
+from ..schema.decode import builtins_of
+from ..schema.fit import Fit, fit_path, read_fit
+from ..schema.notes import notes_of_minima, notes_of_recordings
+from ..schema.quantities import Covariance, Quantities
 from .draws import DRAWS_FILE, Draws, read_draws
-from .quantities import Covariance, Quantities
+from .fitted_recording import FittedRecording, RenderedFit
+from .prediction import Prediction, predict_recording
+from .reload import reload_recordings
 
-__all__ = ["FittedRecording", "Result", "RenderedFit"]
+if TYPE_CHECKING:
+    from .cross_validation import CrossValidation
+
+__all__ = ["Result"]
 
 # Characters of the identifiability statement in a `repr`.
 STATEMENT_LENGTH = 300
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RenderedFit:
-    """The sound of one set of parameters."""
-
-    note: Note
-    samples: np.ndarray  # file units, as long as the recording
-    simulation: Simulation
-    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
-    frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
-
-    def __repr__(self) -> str:
-        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FittedRecording:
-    """One recording and the model's sounds for it."""
-
-    initial: RenderedFit
-    fitted: RenderedFit
-    level: np.ndarray  # measured, dB in the pickup unit [partials]
-    recording: Recording
-    analysis: Analysis
-    criterion: dict
-    levels: dict
-    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
-
-    def __repr__(self) -> str:
-        return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
-
-    @property
-    def final(self) -> RenderedFit:
-        """The fitted sound: with the modal response if the fit has one, else with the string model only."""
-        return self.ringing or self.fitted
-
-    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
-        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
-        fitted, recording = self.fitted, self.recording
-        note = fitted.note._replace(ringing=ringing)
-        contact = recording.onset + round(contact_delay * recording.rate)
-        frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
-        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
-
-    @property
-    def sound(self) -> np.ndarray:
-        """Samples of `as_played` for a file [samples] or [channels, samples]."""
-        frames = self.final.frames
-        return self.final.samples if frames is None or len(frames) == 1 else frames
-
-    @property
-    def partials(self) -> Partials:
-        """The table of partials."""
-        return self.analysis.partials
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A finished fit, or one that was loaded from its `fit.json`.
 
-    `document` is the content of `fit.json`. `recordings` are in the order in which they were given. A loaded result has
-    none until `with_recordings` reads them; plots, `save` and `report` do this when needed. `reference_index` is the
-    index of the reference recording. `minima_notes` has a note for each minimum and recording [minima][recordings], and
-    `weights` the posterior weights of the minima. `draws` are posterior draws [chains, draws] by name, if the fit
-    computed them. `folder` is the folder that the result was loaded from.
+    `fit` has all that the fit reports, as in `fit.json`. `recordings` are in the order in which they were given. A
+    loaded result has none until `with_recordings` reads them; plots, `save` and `report` do this when needed.
+    `minima_notes` has a note for each minimum and recording [minima][recordings]. `draws` are posterior draws [chains,
+    draws] by name, if the fit computed them. `folder` is the folder that the result was loaded from.
     """
 
-    document: dict
+    fit: Fit
     recordings: tuple[FittedRecording, ...]
-    reference_index: int
     minima_notes: tuple[tuple[Note, ...], ...]
-    weights: tuple[float, ...]
     draws: Draws | None = None
     folder: Path | None = None
 
     @property
-    def claims(self) -> str:
-        """The identifiability statement: the kind of measurement, and which parameters it determines."""
-        return self.document["claims"]
+    def identifiability_statement(self) -> str:
+        """The kind of measurement, and which parameters it determines."""
+        return self.fit.identifiability_statement
 
     @property
-    def messages(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Warnings, the most important first."""
-        return tuple(self.document["messages"])
+        return self.fit.warnings
 
     @property
     def parameters(self) -> Quantities:
         """Every parameter by name, with value, unit, 95 % interval, status and meaning."""
-        return Quantities.of(self.document["parameters"])
+        return self.fit.parameters
 
     @property
     def invariants(self) -> Quantities:
         """Quantities that do not depend on an assumed length, mass or (except F/M_S) velocity."""
-        return Quantities.of(self.document["invariants"])
+        return self.fit.invariants
+
+    @property
+    def reference_index(self) -> int:
+        """Index of the reference recording."""
+        return self.fit.reference_index
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Posterior weights of the minima, the best first."""
+        return tuple(minimum.weight for minimum in self.fit.minima) or (1.0,)
 
     @property
     def note(self) -> Note:
@@ -140,7 +96,7 @@ class Result:
     @property
     def gains(self) -> tuple[float, ...]:
         """Gains of the recordings in the path group of the reference recording, dB relative to it."""
-        return relative_gains(self.document)
+        return self.fit.relative_gains()
 
     @property
     def covariance(self) -> Covariance:
@@ -151,10 +107,9 @@ class Result:
         FitError
             If the fit was loaded from a file without a covariance.
         """
-        covariance = Covariance.of(self.document.get("covariance"))
-        if covariance is None:
+        if self.fit.covariance is None:
             raise FitError("covariance: this fit.json has none; fit the recordings again")
-        return covariance
+        return self.fit.covariance
 
     @property
     def reference(self) -> FittedRecording:
@@ -192,16 +147,12 @@ class Result:
         2.0
         """
         if recordings:
-            from .reload import reload_recordings
-
-            return reload_recordings(self, recordings)
+            return replace(self, recordings=reload_recordings(self.fit, self.minima_notes[0], recordings))
         return self if self.recordings else self._reloaded
 
     @cached_property
     def _reloaded(self) -> Result:
-        from .reload import reload_recordings
-
-        return reload_recordings(self)
+        return replace(self, recordings=reload_recordings(self.fit, self.minima_notes[0]))
 
     @property
     def initial(self) -> RenderedFit:
@@ -223,26 +174,66 @@ class Result:
         """Analysis of the reference recording."""
         return self.reference.analysis
 
+    def predict(self, recording: Analysis | Source, gains: Sequence[float] | None = None) -> Prediction:
+        """Predict a recording that took no part in the fit. Only its velocity, gain and pitch are fitted.
+
+        Parameters
+        ----------
+        recording : the recording in any form that `fit` takes, or its analysis.
+        gains : gains of the recordings that were fitted through the same output path, dB relative to that of the note;
+            `gains` of this result if None.
+
+        Returns
+        -------
+        A `Prediction`: velocity in m/s, predicted levels [partials] and their rms error in dB.
+
+        Raises
+        ------
+        FitError
+            If too few partials are above the noise, or no velocity gives a finite sound.
+        RecordingError, AnalysisError
+            If the recording cannot be used, is too short, or is of another key.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves:
+
+        >>> import pianofit
+        >>> it = pianofit.preset("chabassier-F3")
+        >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force")
+        >>> samples = sound.waveform(44_100, 44_100)
+        >>> prediction = pianofit.Result.load("fit").predict((0.5 * samples / abs(samples).max(), 44_100))
+        >>> prediction.error_db < 1.0
+        True
+        """
+        return predict_recording(self.mixture, recording, gains=self.gains if gains is None else gains)
+
     # --- display ------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        count, statement = len(self.document["recordings"]), self.claims
-        state = "converged" if self.document["converged"] else "NOT CONVERGED"
+        count, statement = len(self.fit.recordings), self.identifiability_statement
+        state = "converged" if self.fit.converged else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
-        lines = [f"Result of {counted(count, 'recording')}, {self.document['recipe']} recipe, {state}", short]
+        lines = [f"Result of {counted(count, 'recording')}, {self.fit.recipe} recipe, {state}", short]
         tables = (self.invariants, self.parameters)
         lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in tables]
         return "\n".join(line for line in lines if line)
 
     def __str__(self) -> str:
-        return "\n\n".join(filter(None, [self.claims, str(self.invariants), str(self.parameters)]))
+        return "\n\n".join(filter(None, [self.identifiability_statement, str(self.invariants), str(self.parameters)]))
 
     def _repr_html_(self) -> str:
-        notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
+        notes = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         return (
-            f"<p><strong>{escape(self.claims)}</strong></p>{self.invariants._repr_html_()}"
+            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>{self.invariants._repr_html_()}"
             f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
         )
+
+    def summary(self) -> str:
+        """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""
+        from ..report.summary import fit_summary
+
+        return fit_summary(self)
 
     @property
     def plot(self) -> Any:
@@ -257,8 +248,8 @@ class Result:
     # --- export -------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """A copy of the content of `fit.json` (docs/files.md)."""
-        return copy.deepcopy(self.document)
+        """The content of `fit.json` as dicts, lists, numbers and texts (docs/files.md)."""
+        return builtins_of(self.fit)
 
     def to_dataframe(self) -> Any:
         """The parameters as a pandas data frame, one row each. For the invariants use `invariants.to_dataframe()`.
@@ -286,7 +277,7 @@ class Result:
             If ArviZ is not installed.
         """
         if self.draws is None:
-            if any(q.interval_by == "posterior" for q in self.parameters.values()):
+            if any(q.interval_method == "posterior" for q in self.parameters.values()):
                 raise FitError(
                     f"the file of the draws, {DRAWS_FILE}, is missing next to fit.json; copy it there, or fit again"
                 )
@@ -309,13 +300,15 @@ class Result:
 
         return save(self, Path(folder), force=force, page=page)
 
-    def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
+    def report(
+        self, path: str | os.PathLike[str], *, title: str | None = None, held_out: CrossValidation | None = None
+    ) -> Path:
         """Write the page to `path`, a file, or a folder for `report.html`, and return its path.
 
         Parameters
         ----------
         title : title of the page; the names of the recordings and the note if None.
-        held_out : cross-validation of the same recordings, from `cross_validate`, to be shown with the fit.
+        held_out : cross-validation of the same recordings, to be shown with the fit.
 
         Raises
         ------
@@ -355,18 +348,6 @@ class Result:
         ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
-        document, name = read_fit(path), printable(path)
-        weights, mixture = zip(*notes_of_minima(document, path, felt), strict=True)
-        from .reload import every_note
-
-        notes, (first, _) = every_note(document, mixture, name), reference_row(document["recordings"])
-        invariants = document.get("invariants")
-        draws = read_draws(document.get("draws"), path.parent, invariants if isinstance(invariants, dict) else {})
-        result = cls(document, (), first, notes, weights, draws, path.parent)
-        try:
-            _ = repr(result), result._repr_html_()
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
-            raise FitError(
-                f"{name}: is incomplete ({printable(repr(missing))}); give the file that pianofit fit wrote"
-            ) from None
-        return result
+        fit, name = read_fit(path), printable(path)
+        notes = notes_of_recordings(fit, notes_of_minima(fit, path.parent, name, felt), name)
+        return cls(fit, (), notes, read_draws(fit.draws, path.parent, fit.invariants), path.parent)

@@ -5,21 +5,34 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.number_format import format_with_interval
 from ..io.table_output import data_frame, html_table, write_csv
-from .uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
+from ..io.uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
+from .decode import Number
 
-__all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
+__all__ = [
+    "MEANINGS",
+    "STATUSES",
+    "UNITS",
+    "Covariance",
+    "Quantities",
+    "Quantity",
+    "Status",
+    "meaning_of",
+    "unit_of",
+]
 
-# Unit and meaning of the quantities that are not in `BOXES`.
+Status = Literal["fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable"]
+STATUSES: tuple[str, ...] = get_args(Status)
+# Unit and meaning of the quantities that are not in `ALL_PARAMETERS`.
 SIZES = {
     "x0": ("m", "strike position, from the agraffe"),
     "width": ("m", "full width of the contact window"),
@@ -60,21 +73,21 @@ class Quantity:
 
     If the interval is open or asymmetric, it is written instead of an uncertainty:
 
-    >>> loose = pianofit.Quantity("M_H", 2.277, "g", (1.9, 3.1), "fitted", "hammer mass", interval_open=("high",))
+    >>> loose = pianofit.Quantity("M_H", 2.277, "g", (1.9, 3.1), "fitted", "hammer mass", interval_unbounded=("high",))
     >>> f"{loose:S}", loose.sd
     ('2.28 (> 1.90)', None)
     """
 
     name: str
-    value: float  # in `unit`
-    unit: str
-    interval: tuple[float, float] | None  # 95 %, in `unit`; None if not fitted
-    status: str  # one of `identifiability.STATUSES`
-    meaning: str
+    value: Number  # in `unit`
+    unit: str = "1"
+    interval: tuple[Number, Number] | None = None  # 95 %, in `unit`; None if not fitted
+    status: Status = "fitted"
+    meaning: str = ""
     note: str = ""
-    initial: float | None = None  # before the fit
-    interval_by: str | None = None  # laplace, profile or posterior
-    interval_open: tuple[str, ...] = ()  # ends, low or high, that are limits of the search range
+    initial: Number | None = None  # before the fit
+    interval_method: Literal["laplace", "profile", "posterior"] | None = None
+    interval_unbounded: tuple[Literal["low", "high"], ...] = ()  # ends that are limits of the search range
 
     @property
     def sd(self) -> float | None:
@@ -82,7 +95,7 @@ class Quantity:
 
         None if the quantity was not fitted, if an end of the interval is open, or if the value is not in its middle.
         """
-        if self.interval is None or self.interval_open:
+        if self.interval is None or self.interval_unbounded:
             return None
         low, high = self.interval
         half = (high - low) / 2
@@ -107,7 +120,7 @@ class Quantity:
         parsed, sd = parse_format_spec(spec), self.sd
         if sd is not None:
             return format_with_sd(float(self.value), sd, parsed)
-        return format_interval(float(self.value), self.interval, self.interval_open, parsed)
+        return format_interval(float(self.value), self.interval, self.interval_unbounded, parsed)
 
     def _repr_latex_(self) -> str:
         return f"${latex_name(self.name)} = {self:L}{latex_unit(self.unit)}$"
@@ -124,16 +137,35 @@ class Quantity:
         return self.name, self.value, low, high, self.unit, self.status, self.meaning, self.note
 
 
-@dataclass(frozen=True, repr=False)
 class Quantities(Mapping[str, Quantity]):
     """Quantities by name, in order: a mapping, `table["K_H"]`, whose names are attributes too."""
 
-    entries: dict[str, Quantity]
+    entry_type = Quantity
+
+    def __init__(self, entries: Mapping[str, Quantity]) -> None:
+        self.entries = dict(entries)
 
     @classmethod
-    def of(cls, table: Mapping[str, dict]) -> Quantities:
-        """Quantities of a table of `fit.json`."""
-        return cls({name: _quantity(name, entry) for name, entry in table.items()})
+    def of(cls, quantities: Iterable[Quantity]) -> Quantities:
+        """Return a table of quantities."""
+        return cls({quantity.name: quantity for quantity in quantities})
+
+    @classmethod
+    def from_builtins(cls, value: Any, convert: Callable[[Any, type[Quantity], str], Quantity]) -> Quantities:
+        """Read a table of a file: the entries by name."""
+        if not isinstance(value, dict) or not all(isinstance(entry, dict) for entry in value.values()):
+            raise ValueError("Expected a table of quantities by name")
+        return cls.of(
+            convert({"meaning": meaning_of(name)} | entry | {"name": name}, Quantity, name)
+            for name, entry in value.items()
+        )
+
+    def to_builtins(self) -> dict[str, dict[str, Any]]:
+        """Return the table of a file: the entries by name."""
+        return {
+            name: {own.name: getattr(quantity, own.name) for own in fields(Quantity) if own.name != "name"}
+            for name, quantity in self.items()
+        }
 
     def __getitem__(self, name: str) -> Quantity:
         if name not in self.entries:
@@ -189,15 +221,17 @@ def _missing(name: object, available: Sequence[str]) -> str:
     return f"{name!r} does not exist; " + (f"did you mean {near[0]}?" if near else f"use one of {', '.join(available)}")
 
 
-def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
-    interval = entry.get("interval")
-    usual = "velocity of a stroke over that of the reference" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
-    meaning = str(entry.get("meaning", usual))  # a felt law from outside the package states its own
-    return Quantity(
-        name, entry["value"], entry.get("unit", ""), None if interval is None else (interval[0], interval[1]),
-        entry.get("status", "fitted"), meaning, entry.get("note", ""), entry.get("initial"),
-        entry.get("interval_by"), tuple(entry.get("interval_open", ())),
-    )  # fmt: skip
+def unit_of(name: str, law: FeltLaw) -> str:
+    """Return the unit of a parameter of a fit with `law`."""
+    return law.parameters[name].unit if name in law.parameters else UNITS[name]
+
+
+def meaning_of(name: str, law: FeltLaw | None = None) -> str:
+    """Return the meaning of a quantity; empty for a parameter of a felt law that is unknown here."""
+    if law is not None and name in law.parameters:
+        return law.parameters[name].meaning
+    is_ratio = name.startswith("v/v_ref")
+    return "velocity of a stroke over that of the reference" if is_ratio else MEANINGS.get(name, "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,25 +241,16 @@ class Covariance:
     names: tuple[str, ...]
     matrix: np.ndarray  # [names, names], 1
 
+    def __post_init__(self) -> None:
+        if self.matrix.shape != (len(self.names),) * 2:
+            raise ValueError("Expected a square matrix with a row for each name")
+
     def __getitem__(self, pair: tuple[str, str]) -> float:
         for name in pair:
             if name not in self.names:
                 raise KeyError(_missing(name, self.names))
         row, column = (self.names.index(name) for name in pair)
         return float(self.matrix[row, column])
-
-    @classmethod
-    def of(cls, entry: Any) -> Covariance | None:
-        """The covariance in an entry of `fit.json`; None if the entry is invalid."""
-        try:
-            names, matrix = tuple(map(str, entry["names"])), np.array(entry["matrix"], float)
-        except (KeyError, OverflowError, TypeError, ValueError):
-            return None
-        return cls(names, matrix) if matrix.shape == (len(names),) * 2 and np.isfinite(matrix).all() else None
-
-    def document(self) -> dict[str, Any]:
-        """The entry of `fit.json`."""
-        return {"names": list(self.names), "matrix": self.matrix.tolist()}
 
     def __repr__(self) -> str:
         return f"Covariance of log {', '.join(self.names)}"

@@ -1,0 +1,185 @@
+"""Decoding of JSON and TOML into the frozen dataclasses of this room, and encoding of them.
+
+msgspec checks types, required fields and limits (`Annotated[float, Meta(ge=...)]`). This module adds what it does not
+do: NumPy arrays, types that are written in another form (`from_builtins` and `to_builtins`), and messages that name the
+entry, its value and what is expected.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ..errors import FitError, PianofitError
+from ..io.files import json_text, printable, read_file, short_repr
+from ..io.number_format import LARGEST
+
+__all__ = ["Number", "builtins_of", "convert", "encode_json", "load_json"]
+
+T = TypeVar("T")
+# A finite number that can be squared without overflow.
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+
+
+# What msgspec calls a type, and what a user calls it.
+WORDS = {
+    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
+    "object": "a table", "null": "null",
+}  # fmt: skip
+EXPECTED = re.compile(r"Expected `([^`]+)`(?:, got `[^`]+`| ([<>]=? \S+)| (of .+))?")
+MISSING = re.compile(r"Object missing required field `(.+)`")
+
+
+def load_json(
+    path: str | os.PathLike[str],
+    kind: type[T] | Any,
+    limit: int,
+    what: str,
+    hint: str,
+    error: type[PianofitError] = FitError,
+) -> Any:
+    """Read a JSON file of at most `limit` bytes as a `kind`.
+
+    Raises
+    ------
+    PianofitError
+        `error`, if the file cannot be read, is not JSON or not a `kind`. The message names the file, the entry and
+        `what` the file should be, and ends with the `hint`.
+    """
+    data = read_file(path, limit, error)
+    try:
+        content = msgspec.json.decode(data)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as problem:
+        reason = printable(str(problem).splitlines()[0])
+        raise error(f"{printable(path)}: not {what} ({reason}); {hint}") from None
+    return convert(content, kind, printable(path), hint, error)
+
+
+def convert(data: Any, kind: type[T], where: str, hint: str, error: type[PianofitError] = FitError) -> T:
+    """Return dicts and lists as a `kind`.
+
+    Raises
+    ------
+    PianofitError
+        `error`, beginning with `where` and the entry, and ending with the `hint`.
+    """
+    try:
+        return msgspec.convert(data, kind, dec_hook=_decode)
+    except (msgspec.ValidationError, RecursionError) as problem:
+        raise error(f"{where}: {_message(str(problem), data, kind)}; {hint}") from None
+
+
+def builtins_of(record: Any) -> Any:
+    """Return a record as dicts, lists, numbers and texts."""
+    return msgspec.to_builtins(record, enc_hook=_encode)
+
+
+def encode_json(record: Any) -> bytes:
+    """Return a record as indented JSON without NaN."""
+    return json_text(builtins_of(record)).encode()
+
+
+def _encode(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if hasattr(value, "to_builtins"):
+        return value.to_builtins()
+    raise NotImplementedError(f"{type(value).__name__} has no form in files")
+
+
+def _decode(kind: Any, value: Any) -> Any:
+    """Convert what msgspec does not know: arrays, and types with `from_builtins`."""
+    if kind is np.ndarray:
+        return _array(value)
+    if hasattr(kind, "from_builtins"):
+        return kind.from_builtins(value, _nested)
+    raise NotImplementedError(f"{kind} has no form in files")
+
+
+def _nested(value: Any, kind: type[T], where: str) -> T:
+    """Convert an entry of a type with `from_builtins`. The message of an error names `where` it is."""
+    try:
+        return msgspec.convert(value, kind, dec_hook=_decode)
+    except msgspec.ValidationError as problem:
+        text, path = _split(str(problem))
+        raise ValueError(f"{text} - at `$.{where}{path}`") from None
+
+
+def _array(value: Any) -> np.ndarray:
+    try:
+        array = np.array(value)
+    except ValueError:  # rows of different lengths
+        array = np.array(None)
+    if not isinstance(value, list) or array.dtype.kind not in "iuf" or not (np.abs(array) <= LARGEST).all():
+        raise ValueError("Expected lists of finite numbers of one length")
+    return array.astype(float)
+
+
+# --- messages ---------------------------------------------------------------------------------------------------------
+
+
+def _split(problem: str) -> tuple[str, str]:
+    """Return the text of msgspec's message and the path of the entry, such as `.recordings[0].gain`."""
+    text, *paths = re.split(r" - at `\$(.*?)`", problem)
+    return text, "".join(path for path in reversed(paths) if path)
+
+
+def _message(problem: str, data: Any, kind: Any) -> str:
+    """Return a message with the entry, its value and what is expected."""
+    text, path = _split(problem)
+    if missing := MISSING.match(text):
+        return f"{(path + '.' + missing[1]).lstrip('.')} is missing"
+    entry = path.lstrip(".") or "the content"
+    shown = f"{entry} = {short_repr(_value_at(data, path))}" if path else entry
+    if choices := _choices(kind, path):
+        return f"{shown} must be one of {', '.join(map(str, choices))}"
+    if expected := EXPECTED.match(text):
+        name, limit, length = expected.groups()
+        words = " or ".join(WORDS.get(part, part) for part in name.split(" | "))
+        return f"{shown} must be {words}{_limit_in_words(limit)}{f' {length}' * bool(length)}"
+    return f"{shown}: {text[:1].lower() + text[1:]}"
+
+
+def _limit_in_words(limit: str | None) -> str:
+    """Return words for a limit of msgspec, such as `>= 0.5`."""
+    if limit is None:
+        return ""
+    sign, value = limit.split()
+    if abs(float(value)) >= LARGEST:
+        return " that is finite"
+    words = {">=": "of at least", "<=": "of at most", ">": "above", "<": "below"}
+    return f" {words[sign]} {float(value):g}"
+
+
+def _steps(path: str) -> list[str | int]:
+    """Return the keys and indices of a path."""
+    return [int(index) if index else name for name, index in re.findall(r"\.([^.\[]+)|\[(\d+)\]", path)]
+
+
+def _value_at(data: Any, path: str) -> Any:
+    """Return the value at a path; None where there is none."""
+    for step in _steps(path):
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
+
+
+def _choices(kind: Any, path: str) -> tuple[Any, ...]:
+    """Return the values that a `Literal` at a path allows; empty for other types."""
+    for step in _steps(path):
+        kind = next((arg for arg in get_args(kind) if is_dataclass(arg)), kind)
+        if hasattr(kind, "entry_type"):
+            kind = kind.entry_type
+        elif isinstance(step, str) and is_dataclass(kind) and step in {field.name for field in fields(kind)}:
+            kind = get_type_hints(kind, include_extras=True)[step]
+    return get_args(kind) if get_origin(kind) is Literal else ()

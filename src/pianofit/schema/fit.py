@@ -1,0 +1,466 @@
+"""Content of a `fit.json`: frozen records whose fields are the keys of the file. In memory a fit is the same records.
+
+All that a fit reports is here, in SI units unless a name says otherwise. `NoteFile` is the part that defines a note.
+The page to play writes it alone.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from .. import __version__
+from ..errors import FitError
+from ..felt import DEFAULT_LAW
+from ..io.audio import RATES
+from ..io.files import path_name, printable
+from ..model.output_path import OutputPath, VelocityDiscrepancy
+from .decode import Number, convert, load_json
+from .modal_response import FittedModalResponse
+from .quantities import Covariance, Quantities, Status
+
+__all__ = [
+    "FIT_SCHEMA",
+    "BandValue",
+    "Correlation",
+    "Criterion",
+    "Derived",
+    "Diagnostics",
+    "DrawsFile",
+    "ExcessSd",
+    "Fit",
+    "GlideWindow",
+    "LevelErrors",
+    "Minimum",
+    "NoteFile",
+    "NoteRecording",
+    "ParameterConvergence",
+    "PartialLevels",
+    "PathEntry",
+    "PathPrior",
+    "Pickup",
+    "PosteriorDiagnostics",
+    "ProfileCurve",
+    "Recontact",
+    "RecordingFit",
+    "VelocityDiscrepancyEntry",
+    "fit_path",
+    "package_versions",
+    "read_fit",
+    "read_note_file",
+]
+
+FIT_SCHEMA = 5
+# Largest fit.json, bytes.
+LARGEST_FIT = 2**24
+# Largest number of points of an output path, far more than a string has partials.
+MOST_POINTS = 4096
+# Most strokes of a velocity discrepancy: a library has some dozens of layers.
+MOST_STROKES = 256
+HINT = "give the file that pianofit fit wrote"
+
+# Levels of an output path, dB: amplitudes beyond them are lost in rounding.
+PathLevel = Annotated[float, Meta(ge=-300.0, le=300.0)]
+Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
+
+
+@dataclass(frozen=True)
+class VelocityDiscrepancyEntry:
+    """Velocity discrepancy of an output path."""
+
+    velocity: np.ndarray  # m/s, increasing [strokes]
+    db: np.ndarray  # [strokes, partials]
+
+    def __post_init__(self) -> None:
+        velocity, db = self.velocity, self.db
+        increasing = velocity.ndim == 1 and len(velocity) > 0 and (np.diff(velocity, prepend=0.0) > 0).all()
+        if not (increasing and db.ndim == 2 and len(velocity) == len(db) <= MOST_STROKES and np.abs(db).max() <= 300):
+            raise ValueError(
+                f"Expected 1 to {MOST_STROKES} increasing velocities above 0, m/s, and for each one level of at most "
+                "300 dB for every partial"
+            )
+
+    @classmethod
+    def of(cls, discrepancy: VelocityDiscrepancy | None) -> VelocityDiscrepancyEntry | None:
+        """Return the entry of a discrepancy; None if there is none."""
+        return None if discrepancy is None else cls(discrepancy.velocity, discrepancy.db)
+
+
+@dataclass(frozen=True)
+class PathEntry:
+    """An output path at its partials, Hz and dB [partials]."""
+
+    frequency: np.ndarray
+    db: np.ndarray
+    decay: np.ndarray | None = None  # decay rate over that of the string model
+    velocity_discrepancy: VelocityDiscrepancyEntry | None = None
+
+    def __post_init__(self) -> None:
+        columns = [self.frequency, self.db, *([] if self.decay is None else [self.decay])]
+        discrepancy = self.velocity_discrepancy
+        partials = len(self.db) if self.db.ndim == 1 else 0
+        increasing = partials and self.frequency.ndim == 1 and (np.diff(self.frequency, prepend=0.0) > 0).all()
+        if not increasing or any(x.shape != self.frequency.shape for x in columns) or partials > MOST_POINTS:
+            raise ValueError(
+                f"Expected increasing frequencies and as many values of db and decay, at most {MOST_POINTS}"
+            )
+        if np.abs(self.db).max() > 300.0:
+            raise ValueError(f"db reaches {np.abs(self.db).max():.3g} dB but must be at most 300")
+        if self.decay is not None and not ((self.decay >= 1e-3) & (self.decay <= 1e3)).all():
+            raise ValueError("decay must hold factors from 0.001 to 1000")
+        if discrepancy is not None and discrepancy.db.shape[1] != partials:
+            raise ValueError("velocity_discrepancy must have a level for every partial")
+
+    @classmethod
+    def of(cls, path: OutputPath | None) -> PathEntry | None:
+        """Return the entry of a path; None if there is none."""
+        if path is None:
+            return None
+        return cls(path.frequency, path.db, path.decay, VelocityDiscrepancyEntry.of(path.velocity_discrepancy))
+
+    @property
+    def output_path(self) -> OutputPath:
+        """The path of the model. Without an entry, the decay rates are those of the string model."""
+        entry = self.velocity_discrepancy
+        discrepancy = None if entry is None else VelocityDiscrepancy(entry.velocity, entry.db)
+        decay = np.ones(len(self.db)) if self.decay is None else self.decay
+        return OutputPath(self.frequency, self.db, decay, discrepancy)
+
+
+@dataclass(frozen=True)
+class Pickup:
+    """What was recorded, and the output path between the string and the file."""
+
+    quantity: Literal["velocity", "displacement", "bridge-force", "pressure"]
+    path: PathEntry | None = None  # of the reference recording, at the best minimum
+    paths: dict[str, PathEntry] = field(default_factory=dict)  # by number of the path group, if there are several
+
+
+@dataclass(frozen=True)
+class BandValue:
+    """Eq. 19 before and after the fit."""
+
+    initial: Number
+    final: Number
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """The paper's criterion, eq. 19, on the sounds of one recording."""
+
+    bands: dict[str, BandValue]  # `global`, and those of `band1` to `band3` with a partial
+    excluded_bands: tuple[str, ...]
+    sigma: Number  # damping, 1/s
+    borders: tuple[Number, ...]  # Hz
+
+
+@dataclass(frozen=True)
+class LevelErrors:
+    """Rms errors of the levels of the partials, dB, one gain removed."""
+
+    initial_db: Number
+    fitted_db: Number
+    reference_hammer_db: Number | None  # of the initial hammer at its best velocities and output path
+    partials: int
+
+
+@dataclass(frozen=True)
+class PartialLevels:
+    """Compared levels of one recording, dB in the unit of the pickup [partials]."""
+
+    number: np.ndarray
+    measured: np.ndarray
+    error: np.ndarray  # one standard deviation of the measured levels
+    initial: np.ndarray
+    fitted: np.ndarray
+
+    def __post_init__(self) -> None:
+        if len({column.shape for column in vars(self).values()}) != 1 or self.number.ndim != 1 or not len(self.number):
+            raise ValueError("Expected columns of one length, with at least one partial")
+        if not ((self.number % 1 == 0) & (self.number >= 1)).all():
+            raise ValueError("number must hold whole numbers of at least 1")
+        object.__setattr__(self, "number", self.number.astype(int))
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoteRecording:
+    """What a note needs of its reference recording."""
+
+    gain: Number  # file units per unit of the pickup
+    rate: Rate  # Hz
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingFit(NoteRecording):
+    """One recording, its stroke and the errors of the fit."""
+
+    file: str
+    sha256: str
+    channel: str
+    onset_s: Number
+    v_H0: Number
+    v_H0_interval: tuple[Number, Number] | None
+    v_H0_status: Status
+    v_H0_initial: Number | None
+    note: str | None  # of the analysis
+    gain_status: Literal["given", "fitted"]
+    is_reference: bool
+    pitch_offset_cents: Number  # over the pitch of the reference
+    path_group: int
+    stroke: int
+    criterion: Criterion
+    levels: LevelErrors
+    partials: PartialLevels
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """One minimum of the objective."""
+
+    weight: Number  # of the posterior
+    negative_log_posterior: Number
+    parameters: dict[str, Number]
+    velocities: np.ndarray  # m/s [strokes]
+    path_db: np.ndarray | None  # at the frequencies of `Pickup.path`
+    path_velocity_discrepancy: VelocityDiscrepancyEntry | None
+
+
+@dataclass(frozen=True)
+class Recontact:
+    """A contact of hammer and string after the first."""
+
+    start_ms: Number  # after the first contact
+    duration_ms: Number
+    max_force_N: Number
+
+
+@dataclass(frozen=True)
+class GlideWindow:
+    """Pitch in a window of time."""
+
+    start_s: Number
+    stop_s: Number
+    f0: Number  # Hz
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Quantities computed from the parameters and the stroke of the reference recording."""
+
+    f0: Number  # Hz
+    B: Number
+    f1: Number  # first partial, Hz
+    contact_ms: Number
+    recontacts: tuple[Recontact, ...]
+    max_force_N: Number
+    max_compression_mm: Number
+    felt_force_N: Number  # static force at the largest compression
+    glide_cents: Number
+    glide: tuple[GlideWindow, ...]
+
+
+@dataclass(frozen=True)
+class ExcessSd:
+    """Excess standard deviations beyond the noise."""
+
+    frequency_cents: Number
+    decay_relative: Number
+    level_db: Number
+
+
+@dataclass(frozen=True)
+class PathPrior:
+    """Prior of the smooth output path."""
+
+    smooth_db: Number
+    octaves: Number
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Two parameters whose logarithms are strongly correlated."""
+
+    pair: tuple[str, str]
+    correlation: Number
+
+
+@dataclass(frozen=True)
+class ProfileCurve:
+    """A profile of the objective."""
+
+    points: tuple[tuple[Number, Number], ...]  # value, and rise of the objective
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class ParameterConvergence:
+    """Convergence of the draws of one parameter (Vehtari et al. 2021)."""
+
+    rhat: Number
+    ess_bulk: Number
+    ess_tail: Number
+    median: Number
+
+
+@dataclass(frozen=True)
+class PosteriorDiagnostics:
+    """Diagnostics of posterior sampling."""
+
+    sampler: str
+    chains: int
+    draws: int
+    acceptance: Number
+    divergences: int
+    evaluations: int
+    parameters: dict[str, ParameterConvergence]
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """Diagnostics of a search. The paper's methods have only the first two."""
+
+    evaluations: int
+    partials: int  # levels that were used
+    correlated: tuple[Correlation, ...] = ()
+    negative_log_posterior: Number | None = None  # at the best minimum
+    censored: int | None = None  # bounds of absent partials that were used
+    contact_rate_Hz: Number | None = None
+    modes: int | None = None
+    steps: int | None = None  # of a contact
+    excess_sd: ExcessSd | None = None
+    path: PathPrior | None = None
+    interference_ratio: Number | None = None
+    profile: dict[str, ProfileCurve] | None = None
+    posterior: PosteriorDiagnostics | None = None
+
+
+@dataclass(frozen=True)
+class DrawsFile:
+    """The file of the posterior draws."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoteFile:
+    """The entries that define a note."""
+
+    schema: int = FIT_SCHEMA
+    program: str = "pianofit"
+    kind: str = "note"
+    parameters: Quantities
+    recordings: tuple[NoteRecording, ...]
+    pickup: Pickup
+    felt: str = DEFAULT_LAW.name  # name of the felt law
+    modal_response: FittedModalResponse | None = None
+
+    def __post_init__(self) -> None:
+        if not self.recordings:
+            raise ValueError("recordings is empty")
+
+    @property
+    def reference_index(self) -> int:
+        """Index of the reference recording; a note has only this one."""
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(NoteFile):
+    """A fit: all that it reports."""
+
+    recipe: str
+    seed: int
+    converged: bool
+    identifiability_statement: str
+    warnings: tuple[str, ...]  # the most important first
+    invariants: Quantities  # quantities that do not depend on an assumed length or mass
+    parameters: Quantities
+    recordings: tuple[RecordingFit, ...]  # in the order given
+    minima: tuple[Minimum, ...]  # by posterior weight; the paper's methods have none
+    covariance: Covariance | None = None  # of the logarithms at the best minimum
+    derived: Derived
+    criterion: Criterion  # of the reference recording
+    levels: LevelErrors  # of all recordings
+    diagnostics: Diagnostics
+    draws: DrawsFile | None = None
+    versions: dict[str, str] = field(default_factory=dict)
+    kind: str = "fit"
+
+    @property
+    def reference_index(self) -> int:
+        """Index of the reference recording: the marked one, or the first."""
+        return next((i for i, recording in enumerate(self.recordings) if recording.is_reference), 0)
+
+    @property
+    def reference(self) -> RecordingFit:
+        """The reference recording, which sets the pitch and is reported first."""
+        return self.recordings[self.reference_index]
+
+    @property
+    def path_groups(self) -> dict[int, list[int]]:
+        """Indices of the recordings by path group."""
+        numbers = sorted({recording.path_group for recording in self.recordings})
+        return {n: [i for i, r in enumerate(self.recordings) if r.path_group == n] for n in numbers}
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether any parameter has an interval; fits by the paper's methods have none."""
+        return any(quantity.interval for quantity in self.parameters.values())
+
+    def relative_gains(self, index: int | None = None) -> tuple[float, ...]:
+        """Gains of the recordings in the path group of one, dB relative to it; `index` is the reference if None."""
+        own = self.recordings[self.reference_index if index is None else index]
+        gains = [other.gain for other in self.recordings if other.path_group == own.path_group]
+        if not own.gain:
+            return (0.0,)
+        return tuple(20 * np.log10(abs(gain / own.gain)) for gain in gains if gain) or (0.0,)
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of the program and of the packages that its numbers depend on."""
+    own = {"pianofit": __version__, "python": platform.python_version()}
+    return own | {name: version(name) for name in ("jax", "numpy", "scipy")}
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+def fit_path(path: str | os.PathLike[str]) -> Path:
+    """Return the `fit.json` in a folder, or the file itself."""
+    path_name(path)
+    return Path(path) / "fit.json" if Path(path).is_dir() else Path(path)
+
+
+def read_fit(path: str | os.PathLike[str]) -> Fit:
+    """Read a `fit.json`.
+
+    Raises
+    ------
+    FitError
+        If the file is not a `fit.json` of this schema. The message names the file and the entry.
+    """
+    return convert(_content(path), Fit, printable(path), HINT)
+
+
+def read_note_file(path: str | os.PathLike[str]) -> NoteFile:
+    """Read a `fit.json`, or a `note.json` of the page to play; errors as in `read_fit`."""
+    content = _content(path)
+    return convert(content, NoteFile if content.get("kind") == "note" else Fit, printable(path), HINT)
+
+
+def _content(path: str | os.PathLike[str]) -> dict[str, Any]:
+    content = load_json(path, Any, LARGEST_FIT, "a fit.json", HINT)
+    schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
+    if schema != FIT_SCHEMA:
+        raise FitError(
+            f"{printable(path)}: schema {schema!r} is not {FIT_SCHEMA}; fit again with this version of pianofit"
+        )
+    return content

@@ -1,0 +1,206 @@
+"""Notes of a fit: string, hammer, geometry, gain, output path and modal response, each checked before use."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import FitError, ParameterError
+from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
+from ..io.files import printable, short_repr
+from ..model.note import Note
+from ..model.simulate import check_geometry
+from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
+from .fit import HINT, Fit, Minimum, NoteFile, PathEntry, RecordingFit, fit_path, read_note_file
+
+__all__ = ["initial_note", "load_note", "note_of", "notes_of_minima", "notes_of_recordings"]
+
+
+def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
+    """Read the note of a `fit.json` at its best minimum, and the sample rate of its reference recording, Hz.
+
+    Parameters
+    ----------
+    path : a `fit.json`, or its folder, written by `pianofit fit` or `Result.save`, or a `note.json` of the page.
+    felt : the felt law of the fit, if it is your own. The file has only its name.
+
+    Returns
+    -------
+    A `Note`, and the rate, Hz.
+
+    Raises
+    ------
+    FitError
+        If an entry is missing, of another type, or out of range; the message names file and entry.
+
+    Examples
+    --------
+    With the folder that the example of `fit` saves:
+
+    >>> import pianofit
+    >>> note, rate = pianofit.load_note("fit/fit.json")
+    >>> note.render(3.0, seconds=0.5, rate=rate).shape
+    (22050,)
+    """
+    path = fit_path(path)
+    record = read_note_file(path)
+    note = note_of(record, path.parent, printable(path), felt)
+    return note, int(record.recordings[record.reference_index].rate)
+
+
+def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | None = None) -> Note:
+    """Return the note of the reference recording at the best minimum.
+
+    Parameters
+    ----------
+    folder : folder of the knock, if it is a file.
+    name : beginning of every error message.
+
+    Raises
+    ------
+    FitError
+        As `load_note`.
+    """
+    values, law = {n: quantity.value for n, quantity in record.parameters.items()}, law_of_fit(record, name, felt)
+    where = f"{name}: parameters"
+    needed = (*STRING_NAMES, *(HAMMER_NAMES if law.hammers else law.hammer_parameters))
+    if missing := [n for n in (*needed, "L", "M_S", "x0", "width") if n not in values]:
+        raise FitError(f"{where}.{missing[0]} is missing; {HINT}")
+    own = {n: values[n] for n in (*needed, *(n for n in ALL_PARAMETERS if n in values))}
+    string, hammer = _string_and_hammer(own, where, law)
+    on_string = record.pickup.quantity in ("velocity", "displacement")
+    pickup = values.get("pickup", 0.0) if on_string else 0.5 * values["L"]
+    geometry = Geometry(values["L"], values["M_S"], values["x0"], values["width"], pickup)
+    try:
+        check_geometry(geometry, record.pickup.quantity)
+    except ParameterError as error:
+        raise FitError(f"{name}: L, M_S, x0, width and pickup are not consistent: {error}") from None
+    fitted, path = record.modal_response, record.pickup.path
+    response = None if fitted is None else fitted.response
+    return Note(
+        string,
+        hammer,
+        geometry,
+        record.pickup.quantity,
+        record.recordings[record.reference_index].gain,
+        None if path is None else path.output_path,
+        None if response is None else response.response(folder, name),
+    )
+
+
+def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> FeltLaw:
+    """Return the felt law that a file names; a law from outside the package must be given as `felt`."""
+    if felt is not None and record.felt != felt.name:
+        raise FitError(f"{name}: its felt law is {record.felt!r}, not {felt.name!r}; give the law of the fit")
+    if felt is None and record.felt not in LAWS:
+        raise FitError(
+            f"{name}: its felt law, {short_repr(record.felt)}, is not part of pianofit; give it "
+            "as load_note(path, felt=law), or Result.load(folder, felt=law)"
+        )
+    return LAWS[record.felt] if felt is None else felt
+
+
+def notes_of_minima(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
+    """Return pairs of posterior weight and note of the reference recording for all minima, the best first.
+
+    Only the best note has the modal response. Errors are those of `note_of`.
+    """
+    note, law = note_of(fit, folder, name, felt), law_of_fit(fit, name, felt)
+    if len(fit.minima) < 2:
+        return [(1.0, note)]
+    notes = [_note_of_minimum(note, m, f"{name}: minima[{i}].parameters", law) for i, m in enumerate(fit.minima)]
+    return [
+        (minimum.weight, other._replace(ringing=None) if index else other)
+        for index, (minimum, other) in enumerate(zip(fit.minima, notes, strict=True))
+    ]
+
+
+def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: FeltLaw) -> Note:
+    """Return `note` with string, hammer, strike position and output path of one minimum."""
+    values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | minimum.parameters
+    try:
+        string, hammer = _string_and_hammer(values, where, law)
+        geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
+        check_geometry(geometry, note.quantity)
+    except KeyError as missing:
+        raise FitError(f"{where} lacks {missing}; {HINT}") from None
+    except ParameterError as error:
+        raise FitError(str(error)) from None
+    path = note.path
+    if path is not None:
+        db = path.db if minimum.path_db is None else minimum.path_db
+        try:
+            path = PathEntry(path.frequency, db, path.decay, minimum.path_velocity_discrepancy).output_path
+        except ValueError as error:
+            raise FitError(f"{where}: path: {error}; {HINT}") from None
+    return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
+
+
+def _string_and_hammer(values: Mapping[str, float], where: str, law: FeltLaw) -> tuple[String, Any]:
+    """Return string and hammer with `values`, checked against their ranges."""
+    try:
+        hammer = make_hammer(values, where, law)
+        check_hammer(hammer, where)
+        return String(**check({name: values[name] for name in STRING_NAMES}, where)), hammer
+    except ParameterError as error:
+        raise FitError(str(error)) from None
+
+
+def notes_of_recordings(fit: Fit, mixture: list[tuple[float, Note]], name: str) -> tuple[tuple[Note, ...], ...]:
+    """Return the notes of all minima for every recording [minima][recordings].
+
+    Parameters
+    ----------
+    mixture : those of the reference recording, by `notes_of_minima`.
+
+    Raises
+    ------
+    FitError
+        If an entry is out of range; the message names file and entry.
+    """
+    return tuple(
+        tuple(_note_of_recording(fit, which, i, note, name) for i in range(len(fit.recordings)))
+        for which, (_, note) in enumerate(mixture)
+    )
+
+
+def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) -> Note:
+    """Return the note of one recording at one minimum, from the `note` of the reference recording there."""
+    stroke, reference, where = fit.recordings[index], fit.reference, f"{name}: recordings[{index}]"
+    if index == fit.reference_index:
+        return note
+    velocity = stroke.v_H0
+    if which:
+        velocities = fit.minima[which].velocities
+        velocity = float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.hammer.v_H0)
+    try:
+        c = float(note.string.c) * 2 ** (stroke.pitch_offset_cents / 1200)
+        check({"v_H0": velocity, "c": c}, where)
+    except (OverflowError, ParameterError) as error:
+        raise FitError(str(error)) from None
+    own = note.with_velocity(velocity)._replace(string=note.string._replace(c=c), gain=stroke.gain)
+    if stroke.path_group == reference.path_group:
+        return own
+    path = fit.pickup.paths.get(str(stroke.path_group))
+    return own._replace(path=None if path is None else path.output_path, ringing=None)
+
+
+def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
+    """Return the initial note of one recording, without gain and output path; `note` is the fitted one.
+
+    Raises
+    ------
+    FitError
+        If the fit has no initial values.
+    """
+    initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {"v_H0": stroke.v_H0_initial}
+    values = {name: value for name, value in initial.items() if value is not None}
+    try:
+        string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
+        hammer = type(note.hammer)(**{name: values[name] for name in note.hammer._fields})
+        geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
+    except KeyError as missing:
+        raise FitError(f"this fit.json has no initial {missing.args[0]}; fit the recordings again") from None
+    return Note(string, hammer, geometry, note.quantity, 1.0)
