@@ -36,7 +36,7 @@ USES = {
     "result": "analysis criterion felt schema inference io model parameters recording setup threads",
     "modal_response": "analysis model recording result threads",
     "report": "analysis felt schema io modal_response model parameters result",
-    "listening": "io recording report",
+    "listening": "io recording report schema",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "bensa2005": "analysis criterion felt fitting inference model parameters progress recording result schema setup",
     "instrument": "analysis schema io literature model parameters report",

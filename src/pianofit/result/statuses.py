@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.pipeline import InferenceResult
+from ..inference import InferenceResult
 from ..schema.quantities import Status
 
 __all__ = [
