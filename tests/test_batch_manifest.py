@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -75,7 +76,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),
     ]  # fmt: skip
-    apart = job._replace(sources=tuple(s._replace(stroke="") for s in job.sources))
+    apart = replace(job, sources=tuple(replace(s, stroke="") for s in job.sources))
     assert apart.hash != job.hash
 
 
@@ -270,4 +271,4 @@ def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
     assert job("two").hash == first.hash
     assert job("one", content=b"y").hash != first.hash
     assert job("one", Settings(seed=1)).hash != first.hash
-    assert first._replace(versions={"pianofit": "0"}).hash != first.hash
+    assert replace(first, versions={"pianofit": "0"}).hash != first.hash
