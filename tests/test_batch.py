@@ -290,10 +290,10 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="the disk is full"):
         store.commit(second, {"fit.json": b"2"})
     monkeypatch.setattr(os, "fsync", real)
-    assert store.verified_record("C4").hash == "a"
+    assert (store.entry("C4").hash, store.is_intact(store.record("C4"))) == ("a", True)
     assert [p.name for p in (tmp_path / "keys").iterdir()] == ["C4"]
     store.commit(second, {"fit.json": b"2"})
-    assert store.verified_record("C4").hash == "b"
+    assert (store.entry("C4").hash, store.is_intact(store.record("C4"))) == ("b", True)
 
 
 # --- the end at any moment --------------------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ def check_remains(out: Path) -> set[str]:
         return set()
     store = Store(out)
     keys = store.finished()
-    assert all(store.verified_record(key) is not None for key in keys)
+    assert all((record := store.record(key)) is not None and store.is_intact(record) for key in keys)
     return keys
 
 

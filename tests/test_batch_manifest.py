@@ -51,14 +51,14 @@ def test_what_a_spreadsheet_writes_is_read(tmp_path, text):
 
 def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     touch(tmp_path, "close/C4.wav", "room/C4.wav")
-    text = 'file,note,v_H0,group\nclose/C4.wav,C4,1.25,close\nroom/C4.wav,C4,,a "b"\n'
-    (key,), _ = read_keys(manifest(tmp_path, text.replace('a "b"', '"a ""b"""')))
+    text = 'file,note,v_H0,group\nclose/C4.wav,C4,1.25,close\nroom/C4.wav,C4,,"a ""b"" 🎹"\n'
+    (key,), _ = read_keys(manifest(tmp_path, text))
     job = make_job(key, Settings(setup="[string]\nlength = 0.6\n"))
     (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
     setup = load_setup(tmp_path / "setup.toml")
     assert setup.length == 0.6
     assert [(t.file, t.v_H0, t.group) for t in setup.recordings] == [
-        ("close-C4.wav", 1.25, "close"), ('a _b_-C4.wav', None, 'a "b"')
+        ("close-C4.wav", 1.25, "close"), ("a _b_ _-C4.wav", None, 'a "b" 🎹')
     ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from ..io.table_output import require_optional
 from ..recording.recording import MAX_BYTES
 from .fit_job import JobResult, Work, fit_job
 from .job import Job
-from .process_pool import RunningJob, WorkerLost, one_thread
+from .process_pool import one_thread
 
 __all__ = ["DaskPool", "check_cluster"]
 
@@ -84,10 +84,10 @@ class DaskPool:
         """Number of jobs that were sent and have not ended."""
         return len(self._begun)
 
-    def running(self) -> dict[str, RunningJob]:
+    def running(self) -> dict[str, tuple[float, str]]:
         """Running keys with seconds since they were sent, and stage. Jobs sent ahead are not included."""
         now, oldest = time.monotonic(), list(self._begun.values())[: self.slots]
-        return {job.key: RunningJob(now - since, self._stage.get(job.hash, "")) for job, since in oldest}
+        return {job.key: (now - since, self._stage.get(job.hash, "")) for job, since in oldest}
 
     def submit(self, job: Job) -> None:
         """Send a job.
@@ -104,7 +104,7 @@ class DaskPool:
         self._begun[future] = job, time.monotonic()
         future.add_done_callback(self._ended.put)
 
-    def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
+    def finished(self, timeout: float) -> list[tuple[Job, JobResult]]:
         """Wait up to `timeout` seconds for a job to end, and return the jobs that ended.
 
         Raises `OutputError` if the scheduler is gone.
@@ -125,7 +125,7 @@ class DaskPool:
             self._stage.pop(job.hash, None)
             future.release()
 
-    def _result(self, future) -> JobResult | WorkerLost:
+    def _result(self, future) -> JobResult:
         from distributed import CancelledError, KilledWorker
 
         try:
@@ -134,7 +134,7 @@ class DaskPool:
             return JobResult({}, "every worker that started it died, possibly of too little memory; see their logs")
         except (CancelledError, OSError, TimeoutError) as error:  # the connection, not the fit
             self._check_scheduler(isinstance(error, CancelledError))
-            return WorkerLost(f"its result did not arrive ({printable(error)[:100]})")
+            return JobResult({}, f"its result did not arrive ({printable(error)[:100]})", lost=True)
         except Exception as error:
             reason = printable(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
             return JobResult({}, f"{reason}; install the same pianofit there", stop=True)

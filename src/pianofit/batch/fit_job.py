@@ -45,6 +45,7 @@ class JobResult:
     detail: str = ""  # traceback of an unexpected error
     seconds: float = 0.0
     memory: int = 0  # largest resident set of the worker so far, bytes
+    lost: bool = False  # True if the worker died, so that the job is tried again
     stop: bool = False  # True if other jobs would fail in the same way, such as on a full disk
 
 
@@ -166,7 +167,13 @@ def _fit(
         setup.write_text(job.setup, encoding="utf-8")
         outputs = {setup.name: job.setup.encode()}
     enable_program_cache()
-    settings, progress = job.settings, _once_per_stage(report_stage)
+    settings, stages = job.settings, [""]
+
+    def progress(stage: str, _: float) -> None:
+        if stage != stages[-1]:  # every stage is reported once, when it begins
+            stages.append(stage)
+            report_stage(stage)
+
     result = fit(*files, setup=setup, note=job.note, channel=settings.channel, seed=settings.seed, progress=progress)
     if reason := _wrong_note(job.note, result.document["derived"]["f0"]):
         raise AnalysisError(reason)
@@ -177,19 +184,6 @@ def _fit(
         report_stage("page")
         result.report(out, title=f"{job.key}: " + ", ".join(printable(file.name) for file in files))
     return {file.name: file.read_bytes() for file in sorted(out.iterdir())} | outputs
-
-
-def _once_per_stage(report_stage: ReportStage) -> Callable[[str, float], None]:
-    """A progress function of a fit that reports every stage once, when it begins."""
-    last = ""
-
-    def progress(stage: str, _: float) -> None:
-        nonlocal last
-        if stage != last:
-            last = stage
-            report_stage(stage)
-
-    return progress
 
 
 def _unusable(files: list[Path], job: Job) -> dict[Path, str]:

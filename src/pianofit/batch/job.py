@@ -28,8 +28,6 @@ from .manifest import Key, Sample
 
 __all__ = ["Settings", "Source", "Job", "UnusedFile", "make_job", "versions", "layout_remarks", "unused_files"]
 
-SCHEMA = 1
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -85,7 +83,7 @@ class Job:
     @property
     def hash(self) -> str:
         """Hash of everything that the result depends on."""
-        return _hash([SCHEMA, self.parts])
+        return _hash(self.parts)
 
     @property
     def setup(self) -> str:
@@ -93,8 +91,10 @@ class Job:
         text = self.settings.setup
         for s in self.sources:
             given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke}
-            lines = [f"{name} = {json.dumps(value)}\n" for name, value in given.items() if value not in (None, "")]
-            text += f"\n[[recording]]\nfile = {json.dumps(s.name)}\n{''.join(lines)}" if lines else ""
+            if given := {name: value for name, value in given.items() if value not in (None, "")}:
+                # The text of a JSON value is a TOML value, except for escaped surrogates.
+                values = (f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in ({"file": s.name} | given).items())
+                text += "\n[[recording]]\n" + "".join(values)
         return text
 
 

@@ -89,10 +89,7 @@ def read_keys(
         rows, remarks = sfz_rows(source, root or base, transpose)
     else:
         rows, remarks = _csv_rows(source)
-    keys = _Keys(base, (root or base).resolve(), transpose)
-    for row in rows:
-        keys.add(row)
-    return keys.checked(name), remarks
+    return _keys(name, rows, base, (root or base).resolve(), transpose), remarks
 
 
 def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
@@ -203,67 +200,72 @@ def _guessed(folder: Path, recordings: Sequence[str]) -> tuple[str, list[str]]:
     return pattern, remarks
 
 
-class _Keys:
-    """Collects rows into keys, and their problems."""
-
-    def __init__(self, base: Path, root: Path, transpose: int) -> None:
-        self._base, self._root, self._transpose = base, root, transpose
-        self._keys: dict[str, tuple[str, int, list[Sample]]] = {}  # instrument, MIDI number, samples by folder
-        self._rows_of_files: dict[Path, str] = {}
-        self._problems: list[str] = []
-
-    def add(self, row: Row) -> None:
-        """Add a row, or its problem."""
+def _keys(name: str, rows: Sequence[Row], base: Path, root: Path, transpose: int) -> list[Key]:
+    """Collect rows into keys. All problems are raised together."""
+    problems: list[str] = []
+    keys: dict[str, tuple[str, int, list[Sample]]] = {}  # instrument, MIDI number and samples by folder
+    rows_of_files: dict[Path, str] = {}
+    for row in rows:
         try:
-            self._add(row)
+            sample, midi = _sample(row, base, root), _midi(row.note, transpose)
+            if sample.file in rows_of_files:
+                raise SetupError(f"{printable(row.file)} is also {rows_of_files[sample.file]}; list it once")
+            rows_of_files[sample.file] = row.where
+            folder = _folder_name(row.instrument, midi_to_note(midi))
+            instrument, _, samples = keys.setdefault(folder.casefold(), (row.instrument, midi, []))
+            if instrument != row.instrument:
+                both = f"{printable(instrument)!r} and {printable(row.instrument)!r}"
+                raise SetupError(f"instruments {both} would share the folder {folder}; rename one")
+            _check_layer(folder, sample, samples)
+            samples.append(sample)
         except (SetupError, AnalysisError) as problem:
-            self._problems.append(f"{row.where}: {problem}")
-
-    def checked(self, name: str) -> list[Key]:
-        """All keys, ordered. All problems of the manifest `name` are raised together."""
-        for folder, (_, _, samples) in self._keys.items():
-            if len(samples) > MAX_RECORDINGS:
-                self._problems.append(f"{folder}: {len(samples)} recordings, more than {MAX_RECORDINGS}")
-        if self._problems:
-            raise SetupError(f"{name}: {first_of(self._problems, '; ')}; nothing was started")
-        if not self._keys:
-            raise SetupError(f"{name}: lists no recording; add rows")
-        ordered = sorted(self._keys.values(), key=lambda key: (key[0].casefold(), key[1]))
-        return [Key(_folder_name(i, midi_to_note(m)), i, midi_to_note(m), _with_strokes(s)) for i, m, s in ordered]
-
-    def _add(self, row: Row) -> None:
-        layer = _layer_name(row)
-        if not row.file:
-            raise SetupError("the file is empty; name a recording")
-        sample = Sample(find_file(row.file, self._base, self._root), layer, _velocity(row.v_H0), row.group)
-        midi = note_to_midi(row.note) + self._transpose
-        if not 0 <= midi <= 127:
-            where = f"note {printable(row.note)!r} is MIDI {midi} with --transpose {self._transpose}"
-            raise SetupError(f"{where}, which must be 0 to 127")
-        check_pitch(hertz_of(midi), f"note {midi_to_note(midi)}")
-        if sample.file in self._rows_of_files:
-            raise SetupError(f"{printable(row.file)} is also {self._rows_of_files[sample.file]}; list it once")
-        self._rows_of_files[sample.file] = row.where
-        folder = _folder_name(row.instrument, midi_to_note(midi))
-        instrument, _, samples = self._keys.setdefault(folder.casefold(), (row.instrument, midi, []))
-        if instrument != row.instrument:
-            both = f"{printable(instrument)!r} and {printable(row.instrument)!r}"
-            raise SetupError(f"instruments {both} would share the folder {folder}; rename one")
-        if layer:
-            _check_layer(folder, sample, [other for other in samples if other.layer == layer])
-        samples.append(sample)
+            problems.append(f"{row.where}: {problem}")
+    crowded = {folder: len(samples) for folder, (_, _, samples) in keys.items() if len(samples) > MAX_RECORDINGS}
+    problems += [f"{folder}: {count} recordings, more than {MAX_RECORDINGS}" for folder, count in crowded.items()]
+    if problems:
+        raise SetupError(f"{name}: {first_of(problems, '; ')}; nothing was started")
+    if not keys:
+        raise SetupError(f"{name}: lists no recording; add rows")
+    ordered = sorted(keys.values(), key=lambda key: (key[0].casefold(), key[1]))
+    return [Key(_folder_name(i, midi_to_note(m)), i, midi_to_note(m), _with_strokes(s)) for i, m, s in ordered]
 
 
-def _check_layer(folder: str, sample: Sample, others: Sequence[Sample]) -> None:
-    """Raise `SetupError` if other samples of a layer have the same group, or another velocity."""
+def _sample(row: Row, base: Path, root: Path) -> Sample:
+    """The sample of a row. Its file must lie inside the root."""
+    if re.fullmatch(r"[\d.,]+", row.velocity) and not re.fullmatch(r"\d{1,3}", row.velocity, re.ASCII):
+        raise SetupError(
+            f"velocity {printable(row.velocity)!r} must be a MIDI velocity, a whole number; give measured hammer "
+            "velocities, m/s, as v_H0"
+        )
+    velocity = f"v{int(row.velocity):03d}" if row.velocity.isdecimal() else row.velocity
+    if not row.file:
+        raise SetupError("the file is empty; name a recording")
+    file, layer = find_file(row.file, base, root), f"{row.layer} {velocity}".strip()
+    return Sample(file, layer, _velocity(row.v_H0), row.group)
+
+
+def _midi(note: str, transpose: int) -> int:
+    """MIDI number of a note name, transposed, which must be that of a piano key."""
+    midi = note_to_midi(note) + transpose
+    if not 0 <= midi <= 127:
+        raise SetupError(
+            f"note {printable(note)!r} is MIDI {midi} with --transpose {transpose}, which must be 0 to 127"
+        )
+    check_pitch(hertz_of(midi), f"note {midi_to_note(midi)}")
+    return midi
+
+
+def _check_layer(folder: str, sample: Sample, samples: Sequence[Sample]) -> None:
+    """Raise `SetupError` if another sample of the layer has the same group, or another velocity."""
+    others = [other for other in samples if sample.layer and other.layer == sample.layer]
     if any(other.group == sample.group for other in others):
         name = printable(f"{sample.layer} {sample.group}").strip()
         raise SetupError(f"{folder} has a second {name!r}; give them different layers, takes, groups or mics")
-    velocity = next((other.velocity for other in others if other.velocity is not None), None)
-    if None not in (velocity, sample.velocity) and velocity != sample.velocity:
+    velocity = next((other.velocity for other in others if other.velocity is not None), sample.velocity)
+    if sample.velocity not in (None, velocity):
         raise SetupError(
-            f"{folder} {printable(sample.layer)!r} has velocity {sample.velocity:g} and {velocity:g}, but one stroke has "
-            "one velocity; correct it, or give each recording its own layer or take"
+            f"{folder} {printable(sample.layer)!r} has velocity {sample.velocity:g} and {velocity:g}, but one stroke "
+            "has one velocity; correct it, or give each recording its own layer or take"
         )
 
 
@@ -278,17 +280,6 @@ def _folder_name(instrument: str, note: str) -> str:
     """Name of a folder that every file system accepts."""
     safe = re.sub(r"[^\w.]+", "-", instrument).strip("-.")[:60]
     return f"{safe}-{note.replace('#', 's')}" if safe else note.replace("#", "s")
-
-
-def _layer_name(row: Row) -> str:
-    """Name of the layer of a recording. It ends with the MIDI velocity, such as "v064", or with another label."""
-    if re.fullmatch(r"[\d.,]+", row.velocity) and not re.fullmatch(r"\d{1,3}", row.velocity, re.ASCII):
-        raise SetupError(
-            f"velocity {printable(row.velocity)!r} must be a MIDI velocity, a whole number; give measured hammer "
-            "velocities, m/s, as v_H0"
-        )
-    velocity = f"v{int(row.velocity):03d}" if row.velocity.isdecimal() else row.velocity
-    return " ".join(filter(None, (row.layer, velocity)))
 
 
 def _velocity(text: str) -> float | None:

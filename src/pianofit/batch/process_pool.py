@@ -20,31 +20,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from .fit_job import JobResult, Work, fit_job
 from .job import Job
 
-__all__ = ["ProcessPool", "RunningJob", "WorkerLost", "one_thread"]
+__all__ = ["ProcessPool", "one_thread"]
 
 MAX_JOBS_PER_WORKER = 16  # jobs
 # One thread for each library that would use all cores. They read these when they are first imported.
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
 )
-
-
-class WorkerLost(NamedTuple):
-    """A job whose worker died."""
-
-    reason: str
-
-
-class RunningJob(NamedTuple):
-    """A job that is being fitted."""
-
-    seconds: float  # since it started
-    stage: str  # of the fit; empty if unknown
 
 
 @dataclass
@@ -91,10 +78,10 @@ class ProcessPool:
         """Number of jobs that were started and have not ended."""
         return sum(w.job is not None for w in self._workers)
 
-    def running(self) -> dict[str, RunningJob]:
+    def running(self) -> dict[str, tuple[float, str]]:
         """Running keys with seconds since their start, and stage."""
         now = time.monotonic()
-        return {w.job.key: RunningJob(now - w.since, w.stage) for w in self._workers if w.job is not None}
+        return {w.job.key: (now - w.since, w.stage) for w in self._workers if w.job is not None}
 
     def submit(self, job: Job) -> None:
         """Start a job on a free worker, or on a new one."""
@@ -103,7 +90,7 @@ class ProcessPool:
         with contextlib.suppress(OSError):  # a dead worker is detected by its sentinel
             worker.pipe.send(job)
 
-    def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
+    def finished(self, timeout: float) -> list[tuple[Job, JobResult]]:
         """Wait up to `timeout` seconds for a job to end, and return the jobs that ended."""
         busy = [w for w in self._workers if w.job is not None]
         ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
@@ -121,7 +108,7 @@ class ProcessPool:
                 ended.append((job, outcome))
         return ended
 
-    def _collect(self, worker: _Worker, dead: bool) -> JobResult | WorkerLost | None:
+    def _collect(self, worker: _Worker, dead: bool) -> JobResult | None:
         """Result of the job of a worker, or None while the job goes on. Stages are stored on the way."""
         try:
             while worker.pipe.poll():
@@ -134,7 +121,7 @@ class ProcessPool:
                 worker.stage = message
         except (EOFError, OSError):
             dead = True
-        return WorkerLost(self._retire(worker)) if dead else None
+        return JobResult({}, self._retire(worker), lost=True) if dead else None
 
     def _retire(self, worker: _Worker, patience: float = 5.0) -> str:
         """Remove a worker and return how it ended."""

@@ -105,7 +105,9 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the folder for one batch, by an SQLite lock on an empty file. The system releases it with the process.
+        """Lock the folder for one batch, and remove unfinished files of an interrupted run.
+
+        The lock is an SQLite lock on an empty file. The system releases it with the process.
 
         Raises `OutputError` if another batch holds the lock.
         """
@@ -113,6 +115,10 @@ class Store:
         try:
             with contextlib.closing(sqlite3.connect(self._lock, isolation_level=None, timeout=1.0)) as connection:
                 connection.execute("BEGIN EXCLUSIVE")
+                for partial in (self.scratch, self._unfinished):
+                    shutil.rmtree(partial, ignore_errors=True)
+                for file in self.ledger.glob(".*.tmp"):
+                    file.unlink(missing_ok=True)
                 yield
         except sqlite3.OperationalError as error:
             if "locked" not in str(error):
@@ -131,13 +137,6 @@ class Store:
         except sqlite3.DatabaseError as error:
             return "locked" in str(error)
         return False
-
-    def remove_partial(self) -> None:
-        """Remove unfinished files of an interrupted run."""
-        for partial in (self.scratch, self._unfinished):
-            shutil.rmtree(partial, ignore_errors=True)
-        for file in self.ledger.glob(".*.tmp"):
-            file.unlink(missing_ok=True)
 
     def commit(self, entry: Entry, files: dict[str, bytes]) -> Entry:
         """Write `files` and their record as the folder of a key, in one step, and return the record.
@@ -177,12 +176,9 @@ class Store:
             return content if _digest(content) == record.files.get(name) else None
         return None
 
-    def verified_record(self, key: str) -> Entry | None:
-        """Record of a finished key. None if its folder is missing, or a file differs from the record."""
-        record = self.record(key)
-        if record is None or any(self.verified_content(record, name) is None for name in record.files):
-            return None
-        return record
+    def is_intact(self, record: Entry) -> bool:
+        """True if all files of a finished key agree with its record."""
+        return all(self.verified_content(record, name) is not None for name in record.files)
 
     def finished(self) -> set[str]:
         """Names of the keys that have a folder with a record."""

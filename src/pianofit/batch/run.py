@@ -22,7 +22,7 @@ from .dask_pool import DaskPool
 from .fit_job import JobResult
 from .html_index import Index
 from .job import Job
-from .process_pool import ProcessPool, WorkerLost
+from .process_pool import ProcessPool
 from .records import Entry, Status, Store, summary, time_left
 
 __all__ = ["Progress", "plan_jobs", "run_batch"]
@@ -56,7 +56,7 @@ def _plan(job: Job, store: Store, retry_failed: bool) -> tuple[str, Entry]:
     fresh, entry = Entry.waiting(job), store.entry(job.key)
     if entry is not None and entry.hash == job.hash:
         if entry.state == "done":
-            return ("done", entry) if store.verified_record(job.key) else ("to do: its folder was changed", fresh)
+            return ("done", entry) if store.is_intact(entry) else ("to do: its folder was changed", fresh)
         if entry.state == "failed":
             reason = entry.reason
             return (f"to do: failed before ({reason})", fresh) if retry_failed else (f"failed: {reason}", entry)
@@ -85,7 +85,6 @@ def run_batch(
     store = Store(folder)
     store.open()
     with store.locked():
-        store.remove_partial()
         batch = _Batch(jobs, store, tell)
         batch.reconcile(retry_failed)
         if batch.queue:
@@ -148,14 +147,12 @@ class _Batch:
         except RecordingError as error:
             self._end(job, JobResult({}, str(error)), workers)
 
-    def _end(self, job: Job, outcome: JobResult | WorkerLost, workers: Workers) -> None:
-        if isinstance(outcome, WorkerLost):
-            if self.attempts[job.key] < MAX_ATTEMPTS:
-                self._update(job, "waiting", reason=outcome.reason)
-                self.queue.append(job)
-                self._report(f"{job.key}: {outcome.reason}; it is tried again", workers)
-                return
-            outcome = JobResult({}, f"{outcome.reason}, {MAX_ATTEMPTS} times")
+    def _end(self, job: Job, outcome: JobResult, workers: Workers) -> None:
+        if outcome.lost and self.attempts[job.key] < MAX_ATTEMPTS:
+            self._update(job, "waiting", reason=outcome.error)
+            self.queue.append(job)
+            self._report(f"{job.key}: {outcome.error}; it is tried again", workers)
+            return
         if outcome.stop:
             raise OutputError(f"{job.key}: {outcome.error}; finished keys are kept for the next run")
         facts: dict[str, Any] = {
@@ -164,7 +161,8 @@ class _Batch:
             "left_out": outcome.left_out,
         }
         if outcome.error:
-            failure = {"reason": outcome.error, "detected_note": outcome.detected_note, "detail": outcome.detail}
+            reason = f"{outcome.error}, {MAX_ATTEMPTS} times" if outcome.lost else outcome.error
+            failure = {"reason": reason, "detected_note": outcome.detected_note, "detail": outcome.detail}
             self._update(job, "failed", **facts, **failure)
             self._report(f"{job.key}: failed: {self.entries[job.key].failure_text}", workers)
             return

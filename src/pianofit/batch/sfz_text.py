@@ -31,9 +31,10 @@ _DIRECTIVE = re.compile(
 _TOKEN = re.compile(r"<(\w+)>|(?<![^\s>])(\w+)=", re.ASCII)
 _MODULATION = re.compile(r"_?(?:on|curve|smooth|step)?_?(?:hd)?cc\d+$")  # suffix of an opcode, such as _oncc74
 # Opcodes that decide which sample belongs to which key. A name near one of them is probably a typing error.
-KEY_OPCODES = "sample|default_path|note_offset|octave_offset|key|lokey|hikey|pitch_keycenter|pitch_keytrack|lovel|hivel|trigger|end"
-# All names of SFZ 1, SFZ 2 and ARIA, without numbers and modulations, by https://sfzformat.com/opcodes. Names that begin
-# as the first do are envelopes, LFOs, equalisers, switches, crossfades, labels.
+KEY_OPCODES = "default_path|end|hikey|hivel|key|lokey|lovel|note_offset|octave_offset|sample|trigger"
+KEY_OPCODES += "|pitch_keycenter|pitch_keytrack"
+# All names of SFZ 1, SFZ 2 and ARIA, without numbers and modulations, by https://sfzformat.com/opcodes. Every name is
+# defined that begins as an envelope, LFO, equaliser, switch, crossfade or label.
 _OPCODE = re.compile(
     r"(?:ampeg_|amplfo_|amp_|apan_|bend|bus|cc_|comp_|curve_|cutoff|decim_|delay|directtomain|disto_|dyn_|effect|eg_|eq_|"
     r"fileg_|fillfo_|filtype|fil_|fx|gate_|global_|group_|hint_|image|label_|lfo_|loop|master_|noise_|note_|offset|off_|"
@@ -223,8 +224,8 @@ def _unrecognised(name: str) -> str:
     key_opcodes = KEY_OPCODES.split("|")
     if name in key_opcodes:
         return ""
-    if not difflib.get_close_matches(name, ("sample", "pitch_keycenter", "default_path"), 1, MIN_SIMILARITY):
-        if _OPCODE.fullmatch(re.sub(r"\d+", "", _MODULATION.sub("", name))):
-            return ""
+    mistyped = difflib.get_close_matches(name, ("sample", "pitch_keycenter", "default_path"), 1, MIN_SIMILARITY)
+    if not mistyped and _OPCODE.fullmatch(re.sub(r"\d+", "", _MODULATION.sub("", name))):
+        return ""
     near = difflib.get_close_matches(name, key_opcodes, 1, MIN_SIMILARITY)
     return f"{name} (did you mean {near[0]}?)" if near else name
