@@ -125,15 +125,15 @@ def batch(
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        units = _units(manifest, keys, _settings(setup, channel, seed, page))
-        for remark in [*remarks, *layout_remarks(units)]:
+        jobs = _jobs(manifest, keys, _settings(setup, channel, seed, page))
+        for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
-            _print_plan(manifest, units, plan_jobs(units, out, retry_failed), as_json)
+            _print_plan(manifest, jobs, plan_jobs(jobs, out, retry_failed), as_json)
             return
         with _progress_printer() as progress:
             make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
-            result = run_batch(units, out, make_workers, retry_failed=retry_failed, tell=progress)
+            result = run_batch(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
         print_result(asdict(result), _summary(result), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
@@ -171,24 +171,24 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
     return Settings(seed, channel, page, text)
 
 
-def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
+def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
     import tomllib
 
     from ..batch import make_job
     from ..batch.library_files import first_of
 
-    units, problems = [], []
+    jobs, problems = [], []
     for key in keys:
         try:
-            unit = make_job(key, settings)
-            setup_from_dict(tomllib.loads(unit.setup), key.name)
-            units.append(unit)
+            job = make_job(key, settings)
+            setup_from_dict(tomllib.loads(job.setup), key.name)
+            jobs.append(job)
         except PianofitError as error:
             problems.append(str(error))
     if problems:
         raise SetupError(f"{printable(manifest)}: {first_of(problems, '; ')}; nothing was started")
-    return units
+    return jobs
 
 
 def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
@@ -252,21 +252,21 @@ def _print_event(p: Progress) -> None:
         typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
-def _print_plan(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
+def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_json: bool) -> None:
     """Print the keys with their files, and the files that would not be read."""
     from ..batch import unused_files
 
-    folder, missed = manifest if manifest.is_dir() else manifest.parent, unused_files(manifest, units)
+    folder, missed = manifest if manifest.is_dir() else manifest.parent, unused_files(manifest, jobs)
     lines, rows = [], []
-    for unit in units:
-        rows.append({"key": unit.key, "note": unit.note, "hash": unit.hash, "standing": standing[unit.key]})
-        rows[-1]["recordings"] = [asdict(source) for source in unit.sources]
-        lines.append(f"{unit.key}: {unit.note}, {counted(len(unit.sources), 'recording')}, {standing[unit.key]}")
-        lines += [f"  {line}" for line in columns([source.row(folder) for source in unit.sources], right=-1)]
+    for job in jobs:
+        rows.append({"key": job.key, "note": job.note, "hash": job.hash, "standing": standing[job.key]})
+        rows[-1]["recordings"] = [asdict(source) for source in job.sources]
+        lines.append(f"{job.key}: {job.note}, {counted(len(job.sources), 'recording')}, {standing[job.key]}")
+        lines += [f"  {line}" for line in columns([source.row(folder) for source in job.sources], right=-1)]
     lines += ["not read:"] * bool(missed)
     lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
-    lines.append(f"{todo} of {counted(len(units), 'key')} to do; nothing was written")
+    lines.append(f"{todo} of {counted(len(jobs), 'key')} to do; nothing was written")
     print_result({"keys": rows, "unread": [asdict(file) for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
