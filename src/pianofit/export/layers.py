@@ -21,7 +21,7 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..errors import AnalysisError, ParameterError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
     "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfade_layers", "format_keys", "key_ranges", "layer_velocities",

@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from ..errors import RecordingError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.files import printable, read_file
 from .midi_file import MidiError, MidiFile, parse_midi
 
