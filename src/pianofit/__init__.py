@@ -18,7 +18,7 @@ __all__ = [
     "Setup", "RecordingInfo", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
     "compare", "Comparison", "ComparedQuantity",
     # Prediction of recordings that were not fitted.
-    "Prediction", "predict_recording", "cross_validate",
+    "Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate",
     # Model: from parameters to motion and sound.
     "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
     "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
         WrongNoteError,
     )
     from .felt import FeltLaw, RelaxingHammer
-    from .fit_file import load_note
     from .fitting import fit
     from .io.files import encode_wav
     from .literature import Preset, preset, typical
@@ -51,9 +50,11 @@ if TYPE_CHECKING:
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .recording.recording import Recording, load_recording, recording_from_samples
     from .report.compare import ComparedQuantity, Comparison, compare
-    from .result import Covariance, Quantities, Quantity, Result
-    from .result.cross_validation import cross_validate
+    from .result import Result
+    from .result.cross_validation import CrossValidation, LeftOutRecording, cross_validate
     from .result.prediction import Prediction, predict_recording
+    from .schema.notes import load_note
+    from .schema.quantities import Covariance, Quantities, Quantity
     from .setup import RecordingInfo, Setup, load_setup, setup_from_dict
     from .synthetic import SyntheticRecording, synthetic_recording
 
@@ -62,8 +63,8 @@ _MODULES = {
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),
-    "result": ("Covariance", "Quantities", "Quantity", "Result"),
-    "result.cross_validation": ("cross_validate",),
+    "result": ("Result",),
+    "result.cross_validation": ("CrossValidation", "LeftOutRecording", "cross_validate"),
     "result.prediction": ("Prediction", "predict_recording"),
     "felt": ("FeltLaw", "RelaxingHammer"),
     "model": (
@@ -73,7 +74,8 @@ _MODULES = {
     "literature": ("Preset", "preset", "typical"),
     "recording.recording": ("Recording", "load_recording", "recording_from_samples"),
     "io.files": ("encode_wav",),
-    "fit_file": ("load_note",),
+    "schema.notes": ("load_note",),
+    "schema.quantities": ("Covariance", "Quantities", "Quantity"),
     "setup": ("RecordingInfo", "Setup", "load_setup", "setup_from_dict"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
-from .setup import Setup, load_setup, recording_info_for, setup_from_dict
+from .setup import Setup, recording_info_for, to_setup
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def fit(
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
     _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed, progress)
-    setup = _load_setup(setup)
+    setup = to_setup(setup)
     _check_bounds(setup, velocity)
     with progress_bar(progress) as report:
         report("reading", 0.0)
@@ -119,13 +119,6 @@ def analyse_all(
     """
     with ThreadPoolExecutor(cores()) as threads:
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
-
-
-def _load_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
-    if setup is None or isinstance(setup, Setup):
-        return setup or Setup()
-    check_type("setup=", setup, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
-    return setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
 
 
 def _check(

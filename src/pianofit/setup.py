@@ -22,7 +22,7 @@ from .io.files import path_name, printable, read_text
 from .io.number_format import filled
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict"]
+__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict", "to_setup"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 STRING_PICKUPS = ("velocity", "displacement")  # these need a position
@@ -198,6 +198,14 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
         return Setup(**given, recordings=tuple(tables.get("recording", ())))
     except SetupError as error:
         raise SetupError(f"{where}: {error}") from None
+
+
+def to_setup(given: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
+    """Return the setup that a caller gives: a `Setup`, tables as in a `setup.toml`, the path of one, or None."""
+    if given is None or isinstance(given, Setup):
+        return given or Setup()
+    check_type("setup=", given, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
+    return setup_from_dict(given, "setup") if isinstance(given, Mapping) else load_setup(given)
 
 
 def _entries(name: str, content: object) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from ..model.free_response import level_db, modal_amplitudes
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
-from ..result import Covariance, Result
+from ..result import Result
 from ..result.comparison import RecordingComparison, worse_bands
 from ..result.identifiability import AT_BOUND, NOT_CONVERGED
-from ..result.serialise import fixed_parameter_row, recording_row, sizes, to_document
+from ..result.records import derived_of, fixed_quantity, pickup_of, record_of, sizes
+from ..schema.fit import Criterion, Diagnostics, Fit, package_versions
+from ..schema.quantities import Covariance, Quantities, Status
 
 __all__ = ["point_result"]
 
@@ -57,26 +60,40 @@ def point_result(
         comparison.render(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
         for note in (first, first._replace(string=string, hammer=hammer))
     )
-    compared = comparison.compare(before, after, {"initial_db": before.level, "fitted_db": after.level})
+    compared = comparison.compare(before, after, comparison.level_errors(before.level, after.level))
     parameters = _parameters(start, (*string, *hammer), values, at_bound)
     names = (*(name for name in names_of(start.law) if name in parameters), "v_H0")
-    document = to_document(
-        start, [compared], 0, [recording_row(compared, parameters["v_H0"], start.scale is not None)],
-        Covariance(names, np.zeros((len(names), len(names)))), recipe=recipe, seed=seed, converged=converged,
-        claims=opening,
-        messages=[
-            *_statements(compared.criterion, converged, at_bound, messages), *recording.warnings, *analysis.warnings,
-        ],
-        invariants={}, parameters=parameters, minima=[],
-        diagnostics={"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
-    )  # fmt: skip
-    return Result(document, (compared,), 0, ((after.note,),), (1.0,))
+    record = record_of(compared, parameters["v_H0"], start.scale is not None)
+    fit = Fit(
+        recipe=recipe,
+        felt=start.law.name,
+        seed=seed,
+        converged=converged,
+        identifiability_statement=opening,
+        warnings=(
+            *_statements(compared.criterion, converged, at_bound, messages),
+            *recording.warnings,
+            *analysis.warnings,
+        ),
+        invariants=Quantities({}),
+        parameters=parameters,
+        recordings=(record,),
+        pickup=pickup_of(start.quantity, [compared], [record]),
+        minima=(),
+        covariance=Covariance(names, np.zeros((len(names), len(names)))),
+        derived=derived_of(compared),
+        criterion=compared.criterion,
+        levels=compared.levels,
+        diagnostics=Diagnostics(evaluations, len(analysis.partials)),
+        versions=package_versions(),
+    )
+    return Result(fit, (compared,), ((after.note,),))
 
 
-def _statements(criterion: dict, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
+def _statements(criterion: Criterion, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
     """Warnings about the result."""
     worse = worse_bands(criterion)
-    missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
+    missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion.excluded_bands]
     statements = [*([] if converged else [NOT_CONVERGED]), *messages]
     statements += [f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}."] * bool(
         worse
@@ -100,10 +117,10 @@ def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarra
 
 def _parameters(
     start: InitialValues, final: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]
-) -> dict:
-    """Value, unit and status of every parameter."""
+) -> Quantities:
+    """Every parameter without an interval."""
 
-    def status(name: str) -> str:
+    def status(name: str) -> Status:
         if name in start.fixed:
             return "assumed" if start.fixed[name] == "assumed" else "given"
         if name in at_bound:
@@ -112,10 +129,10 @@ def _parameters(
             return "not-identifiable"
         return "scaled" if start.assumptions.get(name) else "fitted"
 
-    table = {
-        name: fixed_parameter_row(value, name, status(name)) | {"initial": float(initial[name])}
+    table = [
+        replace(fixed_quantity(name, value, status(name)), initial=float(initial[name]))
         for name, value in zip(FIT_NAMES, final, strict=True)
-    }
+    ]
     for name, value in (("x0", start.geometry.strike_position), ("width", start.geometry.width)):
-        table[name] = fixed_parameter_row(value, name, "given" if start.fixed.get(name) == "fixed" else "assumed")
-    return table | sizes(start)
+        table.append(fixed_quantity(name, value, "given" if start.fixed.get(name) == "fixed" else "assumed"))
+    return Quantities.of([*table, *sizes(start)])

@@ -15,19 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..modal_response_file import modal_response_document
 from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse, resample
 from ..result import FittedRecording, Result
+from ..schema.modal_response import RENDER_MODELS, FittedModalResponse, LayerEntry, ModalResponseEntry, RenderModel
 from ..threads import cores, one_blas_thread
 from .aligned_layers import AlignedLayers, align_layers
 from .distance import log_mel_distances
 from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
 
-__all__ = ["RENDER_MODELS", "fit_modal_response", "modal_response_of"]
-
-# Names of the render models, the simplest first; "law" is the string model alone.
-RENDER_MODELS = ("law", "modes", "modes and knock")
+__all__ = ["fit_modal_response", "modal_response_of"]
 
 
 class _LayerGroup(NamedTuple):
@@ -51,7 +48,7 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
     A calibrated fit keeps the string model, because nothing between its string and its file is unknown. So does a fit
     whose partials exceed the noise by too little for modes.
     """
-    if result.document["recordings"][result.reference_index]["gain_status"] == "given":
+    if result.fit.reference.gain_status == "given":
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
@@ -78,9 +75,7 @@ def modal_response_of(result: Result) -> ModalResponse | None:
 
 
 def _layers(result: Result) -> _LayerGroup:
-    rows = result.document["recordings"]
-    group = rows[result.reference_index]["group"]
-    place = [i for i, row in enumerate(rows) if row["group"] == group]
+    place = result.fit.path_groups[result.fit.reference.path_group]
     place.sort(key=lambda i: result.recordings[i].fitted.note.hammer.v_H0)
     fitted = [result.recordings[i] for i in place]
     aligned = align_layers([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
@@ -91,18 +86,18 @@ def _layers(result: Result) -> _LayerGroup:
 
 def _left_out_distances(
     layers: _LayerGroup, modes: Sequence[PartialModes], response: SharedResponse
-) -> dict[str, float]:
-    """Mean distance of left-out layers by render model, dB; empty with one layer."""
+) -> dict[RenderModel, float] | None:
+    """Mean distance of left-out layers by render model, dB; None with one layer."""
     count = len(layers.fitted)
     inner = range(1, count - 1) if count > 2 else range(count) if count > 1 else ()
     with ThreadPoolExecutor(cores()) as threads:
         rows = list(threads.map(lambda out: _distances(layers, modes, response, out), inner))
-    return {name: float(np.mean([row[name] for row in rows])) for name in RENDER_MODELS} if rows else {}
+    return {name: float(np.mean([row[name] for row in rows])) for name in RENDER_MODELS} if rows else None
 
 
 def _distances(
     layers: _LayerGroup, modes: Sequence[PartialModes], response: SharedResponse, out: int
-) -> dict[str, float]:
+) -> dict[RenderModel, float]:
     """Distance of layer `out` from its prediction by the other layers, by render model, dB."""
     aligned, rest = layers.aligned, [i for i in range(len(layers.fitted)) if i != out]
     others = AlignedLayers(aligned.samples[rest], aligned.before[rest], aligned.rate, aligned.seconds[rest])
@@ -138,25 +133,28 @@ def _render_string_model(layer: FittedRecording, rate: int, lead: int) -> np.nda
 
 
 def _attached(
-    result: Result, layers: _LayerGroup, response: SharedResponse, model: str, distances: dict[str, float]
+    result: Result,
+    layers: _LayerGroup,
+    response: SharedResponse,
+    model: RenderModel,
+    distances: dict[RenderModel, float] | None,
 ) -> Result:
-    """The result with the modal response in its notes, sounds and document, per unit of a recording's gain."""
-    rows = [
-        {"file": layer.recording.path, "contact_s": float(late)}
-        for layer, late in zip(layers.fitted, response.delay, strict=True)
-    ]
-    entry: dict = {"by": model, "left_out_db": distances or None, "layers": rows}
-    if model == "law":
-        return dataclasses.replace(result, document=result.document | {"ringing": entry})
+    """The result with the modal response in its notes, sounds and record, per unit of a recording's gain."""
+    entries = tuple(
+        LayerEntry(layer.recording.path, float(late)) for layer, late in zip(layers.fitted, response.delay, strict=True)
+    )
+    chosen = FittedModalResponse(render_model=model, leave_one_out_db=distances, layers=entries)
+    if model == RENDER_MODELS[0]:
+        return dataclasses.replace(result, fit=dataclasses.replace(result.fit, modal_response=chosen))
     ringing = response.response if model == RENDER_MODELS[-1] else response.response.without_knock()
     recordings, best = list(result.recordings), list(result.minima_notes[0])
     for place, late in zip(layers.place, response.delay, strict=True):
         best[place] = best[place]._replace(ringing=ringing)
         recordings[place] = recordings[place].ringing_by(ringing, float(late))
-    entry |= modal_response_document(ringing)
+    chosen = dataclasses.replace(chosen, response=ModalResponseEntry.of(ringing))
     return dataclasses.replace(
         result,
-        document=result.document | {"ringing": entry},
+        fit=dataclasses.replace(result.fit, modal_response=chosen),
         recordings=tuple(recordings),
         minima_notes=(tuple(best), *result.minima_notes[1:]),
     )

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import FitError, OutputError, PianofitError
-from ..io.files import (
-    MAX_FIT_BYTES,
-    encode_wav,
-    json_text,
-    load_json,
-    output_folder,
-    printable,
-    read_file,
-    replace_file,
-)
-from ..modal_response_file import KNOCK_FILE, encode_knock
+from ..io.files import encode_wav, output_folder, printable, read_file, replace_file
 from ..result import Result
 from ..result.draws import DRAWS_FILE, encode_draws
-from .build import curves_of
-from .page import report_bytes
+from ..schema.decode import encode_json
+from ..schema.fit import DrawsFile, read_fit
+from ..schema.modal_response import KNOCK_FILE, encode_knock
+
+if TYPE_CHECKING:
+    from ..result.cross_validation import CrossValidation
 
 __all__ = ["save", "stroke_names", "write_page"]
 
@@ -42,13 +38,13 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     result = result.with_recordings() if page else result
     _check_inputs(result, folder, earlier)
     with output_folder(folder, force):
-        report = report_bytes(result.document, curves_of(result), _title(result)) if page else None
+        report = _page(result) if page else None
         files = _sounds(result) if result.recordings else _copied(result)
-        document = {name: entry for name, entry in result.document.items() if name != "draws"}
+        fit = replace(result.fit, draws=None)
         if result.draws is not None:
             files[DRAWS_FILE] = encode_draws(result.draws)
-            document["draws"] = {"file": DRAWS_FILE, "sha256": hashlib.sha256(files[DRAWS_FILE]).hexdigest()}
-        files["fit.json"] = json_text(document).encode()
+            fit = replace(fit, draws=DrawsFile(DRAWS_FILE, hashlib.sha256(files[DRAWS_FILE]).hexdigest()))
+        files["fit.json"] = encode_json(fit)
         files |= {} if report is None else {"report.html": report}
         for name, content in files.items():
             replace_file(folder / name, content)
@@ -72,13 +68,12 @@ def _previous_outputs(folder: Path) -> set[str]:
     """Return the files of an earlier fit. The sounds of recordings are those that its `fit.json` names."""
     names = {"report.html", KNOCK_FILE, DRAWS_FILE}
     try:
-        rows = load_json(folder / "fit.json", MAX_FIT_BYTES, "a fit.json", "")["recordings"]
-        return names | {*stroke_names([Path(row["file"]).stem for row in rows])}
-    except (PianofitError, KeyError, TypeError):
+        return names | {*stroke_names([Path(own.file).stem for own in read_fit(folder / "fit.json").recordings])}
+    except PianofitError:
         return names
 
 
-def write_page(result: Result, path: Path, title: str | None, held_out: dict | None) -> Path:
+def write_page(result: Result, path: Path, title: str | None, held_out: CrossValidation | None) -> Path:
     """Write the page to `path`, or to `report.html` in it if it is a folder.
 
     Raises `OutputError` if it cannot be written, and `FitError` if the fit was loaded from a file and a recording is
@@ -86,8 +81,15 @@ def write_page(result: Result, path: Path, title: str | None, held_out: dict | N
     """
     result = result.with_recordings()
     path = path / "report.html" if path.is_dir() else path
-    replace_file(path, report_bytes(result.document, curves_of(result), title or _title(result), held_out))
+    replace_file(path, _page(result, title, held_out))
     return path
+
+
+def _page(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
+    from .build import curves_of
+    from .page import report_bytes
+
+    return report_bytes(result.fit, curves_of(result), title or _title(result), held_out)
 
 
 def _title(result: Result) -> str:
@@ -107,7 +109,7 @@ def _inputs(result: Result) -> list[Path]:
     """Return the paths of the recordings."""
     if result.recordings:
         return [Path(fitted.recording.path) for fitted in result.recordings]
-    return [Path(str(row.get("file"))) for row in result.document["recordings"]]
+    return [Path(own.file) for own in result.fit.recordings]
 
 
 def _sound_names(result: Result) -> list[str]:
@@ -136,7 +138,7 @@ def _copied(result: Result) -> dict[str, bytes]:
 def _knock(result: Result) -> dict[str, bytes]:
     """Return the file of the knock, by name.
 
-    It is copied if the fit was loaded from a file, because its scale is in the document.
+    It is copied if the fit was loaded from a file, because its scale is in `fit.json`.
     """
     response, path = result.note.ringing, result.folder and result.folder / KNOCK_FILE
     if response is not None and path and path.is_file():

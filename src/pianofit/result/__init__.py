@@ -7,7 +7,6 @@ fit, and `cross_validate` does so for every stroke in turn.
 from __future__ import annotations
 
 from .build_result import build_result
-from .quantities import Covariance, Quantities, Quantity
 from .result import FittedRecording, RenderedFit, Result
 
-__all__ = ["Covariance", "FittedRecording", "Quantities", "Quantity", "Result", "RenderedFit", "build_result"]
+__all__ = ["FittedRecording", "RenderedFit", "Result", "build_result"]

@@ -29,14 +29,13 @@ from ..inference.quadratic_surrogate import QuadraticSurrogate
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording.recording import Recording
+from ..schema.fit import BandValue, Criterion, LevelErrors
 from .alignment import align_attack, estimate_contact_onset
 from .minima_notes import latent_means
 from .result import FittedRecording, RenderedFit
 
 __all__ = ["RecordingComparison", "compare_recordings", "audible_partials", "pool_level_errors", "worse_bands"]
 
-# Level errors that are reported: before the fit, after it, and of the initial hammer at its best path and velocities.
-LEVELS = ("initial_db", "fitted_db", "path_only_db")
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
 # and within this range of the strongest partial, dB, since other sounds lie below it.
@@ -47,10 +46,9 @@ DESCENT_STEPS, DESCENT_GAIN = 25, 0.1
 SILENT_DB = -300.0
 
 
-def worse_bands(criterion: dict) -> list[str]:
+def worse_bands(criterion: Criterion) -> list[str]:
     """Occupied bands, and `global`, in which the criterion did not decrease."""
-    names = [n for n in ("global", *BANDS) if n in criterion]
-    return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
+    return [name for name, band in criterion.bands.items() if band.final >= band.initial]
 
 
 def audible_partials(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
@@ -119,17 +117,25 @@ class RecordingComparison:
             level = level + 20 * np.log10(max(gain, 1e-15))
         return RenderedFit(note._replace(gain=gain), samples * gain, strike, level)
 
-    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: dict[str, np.ndarray]) -> FittedRecording:
-        """The recording with two sounds, the criterion, and level errors by name of `LEVELS`, one gain removed."""
+    def level_errors(
+        self, initial: np.ndarray, fitted: np.ndarray, reference_hammer: np.ndarray | None = None
+    ) -> LevelErrors:
+        """Rms errors of levels, dB [partials], with one gain removed from each."""
         chosen = audible_partials(self.analysis.partials.frequency, self.level)
-        errors = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
-        return FittedRecording(
-            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted),
-            dict.fromkeys(LEVELS) | errors | {"partials": int(chosen.sum())},
-        )  # fmt: skip
 
-    def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> dict:
-        """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are dropped.
+        def error(level: np.ndarray) -> float:
+            return level_error_db(level[chosen], self.level[chosen])
+
+        reference = None if reference_hammer is None else error(reference_hammer)
+        return LevelErrors(error(initial), error(fitted), reference, int(chosen.sum()))
+
+    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: LevelErrors) -> FittedRecording:
+        """The recording with two sounds, and the criterion of both."""
+        criterion = self._criterion(initial, fitted)
+        return FittedRecording(initial, fitted, self.level, self.recording, self.analysis, criterion, levels)
+
+    def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> Criterion:
+        """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are excluded.
 
         In an uncalibrated recording each sound has its best gain by the criterion.
         """
@@ -140,12 +146,12 @@ class RecordingComparison:
 
         before, after, number = values_of(initial), values_of(fitted), self.analysis.partials.number
         occupied = {"global", *(BANDS[b] for b in band_of(number))}
-        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in occupied}
-        return values | {
-            "dropped": [name for name in BANDS if name not in occupied],
-            "sigma": self.cells.sigma,
-            "borders": list(band_borders(self.analysis.f0, self.analysis.B, int(number.max()))),
-        }
+        return Criterion(
+            bands={name: BandValue(before[name], after[name]) for name in before if name in occupied},
+            excluded_bands=tuple(name for name in BANDS if name not in occupied),
+            sigma=self.cells.sigma,
+            borders=band_borders(self.analysis.f0, self.analysis.B, int(number.max())),
+        )
 
 
 def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralCells, np.ndarray]:
@@ -153,15 +159,16 @@ def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralC
     return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
 
-def pool_level_errors(levels: Sequence[dict]) -> dict:
+def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
     """Rms level errors over all recordings, dB, and the number of partials."""
-    count = np.array([x["partials"] for x in levels])
+    count = np.array([own.partials for own in levels])
 
-    def rms(name: str) -> float | None:
-        values = [x[name] for x in levels]
-        return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
+    def rms(values: Sequence[float]) -> float:
+        return float(np.sqrt((np.square(values) * count).sum() / count.sum()))
 
-    return {name: rms(name) for name in LEVELS} | {"partials": int(count.sum())}
+    initial, fitted = rms([own.initial_db for own in levels]), rms([own.fitted_db for own in levels])
+    reference = [own.reference_hammer_db for own in levels if own.reference_hammer_db is not None]
+    return LevelErrors(initial, fitted, rms(reference) if len(reference) == len(levels) else None, int(count.sum()))
 
 
 def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
@@ -178,7 +185,7 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = descent.level(start[None])[0]
     fitted = np.asarray(descent.table.value) - integrated.residual
-    path_only = None if problem.calibrated else fit_reference_hammer(fit)
+    reference_hammer = None if problem.calibrated else fit_reference_hammer(fit)
     compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
@@ -191,11 +198,10 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
         before = comparison.render(
             _note_at(fit, start, i), comparison.gain, begins, comparison.levels_at_partials(initial[i], columns)
         )
-        levels = {"initial_db": before.level, "fitted_db": after.level}
-        levels |= {} if path_only is None else {"path_only_db": comparison.levels_at_partials(path_only[i], columns)}
-        compared.append(
-            comparison.compare(before, after, {n: comparison.add_noise_floor(x) for n, x in levels.items()})
-        )
+        levels = [before.level, after.level]
+        levels += [] if reference_hammer is None else [comparison.levels_at_partials(reference_hammer[i], columns)]
+        errors = comparison.level_errors(*map(comparison.add_noise_floor, levels))
+        compared.append(comparison.compare(before, after, errors))
     return tuple(compared)
 
 

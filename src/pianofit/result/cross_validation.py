@@ -6,38 +6,72 @@ the best blend, in decibels, of its two neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
 from ..errors import FitError, ParameterError, check_type
-from ..fit_file import relative_gains
 from ..inference.pipeline import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
+from ..progress import Progress, progress_bar
 from ..recording.recording import Source, load_recordings
-from ..setup import Setup
+from ..schema.decode import builtins_of
+from ..schema.fit import RecordingFit
+from ..setup import Setup, to_setup
 from .build_result import build_result
 from .comparison import audible_partials
 from .prediction import Prediction, predict_recording
 from .result import Result
 
-__all__ = ["cross_validate"]
+__all__ = ["CrossValidation", "LeftOutRecording", "cross_validate"]
+
+
+@dataclass(frozen=True)
+class LeftOutRecording:
+    """Errors of the prediction of one recording, and of its neighbours in its place; None where there is none."""
+
+    file: str
+    v_H0: float  # m/s, in the fit of all recordings
+    predicted_v_H0: float | None  # None if no other recording has its output path
+    predicted_db: float | None  # rms over partials
+    partials: int | None
+    nearest_db: float | None  # of the nearer neighbour in velocity
+    blend_db: float | None  # of the best blend of both neighbours
+    has_neighbours: bool  # two, one slower and one faster
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Errors of all recordings of a key, each predicted by a fit without its stroke."""
+
+    recordings: tuple[LeftOutRecording, ...]  # by velocity
+    median_inner_db: float | None  # of the recordings with two neighbours; None if there are none
+    worst_inner_db: float | None
+    warnings: tuple[str, ...]
+    result: Result  # the fit of all recordings
+
+    def to_dict(self) -> dict[str, Any]:
+        """The errors as dicts, lists, numbers and texts, without `result` (docs/files.md)."""
+        return {own.name: builtins_of(getattr(self, own.name)) for own in fields(self) if own.name != "result"}
 
 
 def cross_validate(
-    recordings: Sequence[Source],
-    analyses: Sequence[Analysis] | None = None,
-    setup: Setup | None = None,
-    *,
+    *recordings: Source,
+    setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     note: str | int | None = None,
     f0: float | None = None,
+    channel: str = "average",
     seed: int = 0,
-    progress: Callable[[str, float], None] = lambda *_: None,
-) -> tuple[dict, Result]:
+    progress: Progress | bool | None = None,
+    analyses: Sequence[Analysis] | None = None,
+) -> CrossValidation:
     """Leave out each hammer stroke in turn, fit the others, and predict it at every microphone.
 
     All recordings of a stroke are left out together, since they share its velocity. Neighbours are of the same path
@@ -46,113 +80,119 @@ def cross_validate(
     Parameters
     ----------
     recordings : three or more recordings of one key, in any form that `fit` takes.
-    analyses : analyses of the recordings, in their order, if they were analysed before.
-    setup : the given values.
+    setup : the given values: a `Setup`, tables as in a `setup.toml`, or the path of one.
     note, f0 : the note, or its pitch in Hz; estimated if None.
+    channel : channel of files: "average", "left", "right", or "1" to "8".
     seed : seed of the searches.
-    progress : called with a stage's name and the fraction done.
+    progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal and a line
+        in a notebook.
+    analyses : analyses of the recordings, in their order, if they were analysed before.
 
     Returns
     -------
-    dict
-        `recordings`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`,
-        `predicted_db` and `partials` (None if no other recording shares the output path), `nearest_db` (None without a
-        neighbour), `blend_db` (None at the ends of a group) and `inner`; `median_inner_db` and `worst_inner_db` (None
-        without an inner recording); `messages`.
-    Result
-        The fit of all recordings.
+    A `CrossValidation`: the errors of every recording, in order of velocity, and the fit of all recordings.
 
     Raises
     ------
     FitError
         For fewer than three strokes, and as `fit` does.
-    RecordingError, AnalysisError
-        For a recording that cannot be used.
+    PianofitError
+        For other invalid input, as `fit` does.
 
     Examples
     --------
-    >>> scores, result = pianofit.cross_validate(["soft.wav", "mezzo.wav", "loud.wav"], note="F#2")  # four fits
-    >>> scores["median_inner_db"]
+    >>> found = pianofit.cross_validate("soft.wav", "mezzo.wav", "loud.wav", note="F#2")  # four fits
+    >>> found.median_inner_db
     """
     check_seed(seed)
-    check_type("recordings=", recordings, list | tuple, "a list of three or more recordings")
-    check_type("setup=", setup, Setup | None, "a Setup; load_setup reads one from a file")
+    check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
     check_analyses(analyses)
-    count = len(recordings)
+    count, setup = len(recordings), to_setup(setup)
     if analyses is not None and len(analyses) != count:
         raise ParameterError(f"{len(analyses)} analyses were given for {count} recordings; give one for each")
     if count < 3:
         few = "1 recording is" if count == 1 else f"{count} recordings are"
         raise FitError(f"{few} too few to leave one out; give three or more")
-    recordings, setup = load_recordings(recordings), setup or Setup()
-    analyses = [analyse(recording, note=note, f0=f0) for recording in recordings] if analyses is None else analyses
-    complete = build_result(run_inference(recordings, analyses, setup, seed=seed))
-    fitted = complete.document["recordings"]
-    strokes = list(dict.fromkeys(row["stroke"] for row in fitted))
+    sounds = load_recordings(recordings, channel)
+    analyses = [analyse(sound, note=note, f0=f0) for sound in sounds] if analyses is None else analyses
+    complete = build_result(run_inference(sounds, analyses, setup, seed=seed))
+    fitted = complete.fit.recordings
+    strokes = list(dict.fromkeys(own.stroke for own in fitted))
     if len(strokes) < 3:
         raise FitError(
             f"{counted(count, 'recording')} of {counted(len(strokes), 'stroke')} are too few to leave one stroke "
             "out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
-    for left_out, stroke in enumerate(strokes, 1):
-        progress(f"without stroke {left_out} of {len(strokes)}", left_out / (len(strokes) + 1))
-        others = [j for j in range(count) if fitted[j]["stroke"] != stroke]
-        fit = build_result(
-            run_inference([recordings[j] for j in others], [analyses[j] for j in others], setup, seed=seed)
-        )
-        groups = [fitted[j]["group"] for j in others]
-        for i in {*range(count)}.difference(others):
-            predicted[i] = _predict(fit, groups, fitted[i]["group"], analyses[i])
-    order = sorted(range(count), key=lambda i: fitted[i]["v_H0"])
-    rows = [
-        _row(fitted[i], predicted[i], analyses[i], [analyses[j] for j in _neighbours(i, order, fitted)]) for i in order
-    ]
-    inner = [row["predicted_db"] for row in rows if row["inner"]]
-    messages = [
-        f"{Path(row['file']).name} cannot be predicted: no other stroke was recorded through its output path, so the "
+    with progress_bar(progress) as report:
+        for left_out, stroke in enumerate(strokes, 1):
+            report(f"without stroke {left_out} of {len(strokes)}", left_out / (len(strokes) + 1))
+            others = [j for j in range(count) if fitted[j].stroke != stroke]
+            fit = build_result(
+                run_inference([sounds[j] for j in others], [analyses[j] for j in others], setup, seed=seed)
+            )
+            groups = [fitted[j].path_group for j in others]
+            for i in {*range(count)}.difference(others):
+                predicted[i] = _predict(fit, groups, fitted[i].path_group, analyses[i])
+    return _scores(complete, analyses, predicted)
+
+
+def _scores(
+    complete: Result, analyses: Sequence[Analysis], predicted: Mapping[int, Prediction | None]
+) -> CrossValidation:
+    """The errors of every recording, by velocity, and their median and maximum."""
+    fitted = complete.fit.recordings
+    order = sorted(range(len(fitted)), key=lambda i: fitted[i].v_H0)
+    left_out = tuple(
+        _left_out(fitted[i], predicted[i], analyses[i], [analyses[j] for j in _neighbours(i, order, fitted)])
+        for i in order
+    )
+    inner = [own.predicted_db for own in left_out if own.has_neighbours and own.predicted_db is not None]
+    warnings = [
+        f"{Path(own.file).name} cannot be predicted: no other stroke was recorded through its output path, so the "
         "path is unknown."
-        for row in rows
-        if row["predicted_db"] is None
+        for own in left_out
+        if own.predicted_db is None
     ]
-    messages += [
-        f"{Path(recordings[i].path).name} is predicted at {p.velocity:.3g} m/s, at the limit of the searched range: "
+    warnings += [
+        f"{Path(fitted[i].file).name} is predicted at {p.velocity:.3g} m/s, at the limit of the searched range: "
         "its velocity could not be determined."
         for i, p in predicted.items()
         if p is not None and p.velocity_at_search_limit
     ]
-    median, worst = (float(np.median(inner)), float(max(inner))) if inner else (None, None)
-    return {"recordings": rows, "median_inner_db": median, "worst_inner_db": worst, "messages": messages}, complete
+    median, worst = (float(np.median(inner)), max(inner)) if inner else (None, None)
+    return CrossValidation(left_out, median, worst, tuple(warnings), complete)
 
 
 def _predict(fit: Result, groups: Sequence[int], group: int, analysis: Analysis) -> Prediction | None:
     """Predict a recording through the path of its `group`; None if no recording of the fit has it."""
     if group not in groups:
         return None
-    recording = groups.index(group)
-    notes = [(weight, notes[recording]) for weight, notes in zip(fit.weights, fit.minima_notes, strict=True)]
-    return predict_recording(notes, analysis, gains=relative_gains(fit.document, recording))
+    index = groups.index(group)
+    notes = [(weight, notes[index]) for weight, notes in zip(fit.weights, fit.minima_notes, strict=True)]
+    return predict_recording(notes, analysis, gains=fit.fit.relative_gains(index))
 
 
-def _neighbours(i: int, order: list[int], fitted: list[dict]) -> list[int]:
+def _neighbours(i: int, order: Sequence[int], fitted: Sequence[RecordingFit]) -> list[int]:
     """Neighbours of a recording in velocity within its group: two, one at an end of the group, or none."""
-    group = [j for j in order if fitted[j]["group"] == fitted[i]["group"]]
+    group = [j for j in order if fitted[j].path_group == fitted[i].path_group]
     position = group.index(i)
     return group[max(position - 1, 0) : position] + group[position + 1 : position + 2]
 
 
-def _row(fitted: dict, prediction: Prediction | None, analysis: Analysis, neighbours: Sequence[Analysis]) -> dict:
-    """Errors of the prediction of one recording, and of its neighbours in its place."""
-    return {
-        "file": fitted["file"],
-        "v_H0": fitted["v_H0"],
-        "predicted_v_H0": prediction.velocity if prediction else None,
-        "predicted_db": prediction.error_db if prediction else None,
-        "partials": prediction.partials if prediction else None,
-        "nearest_db": min((_difference_db(analysis, other) for other in neighbours), default=None),
-        "blend_db": _blend_error_db(analysis, *neighbours) if len(neighbours) == 2 else None,
-        "inner": len(neighbours) == 2,
-    }
+def _left_out(
+    fitted: RecordingFit, prediction: Prediction | None, analysis: Analysis, neighbours: Sequence[Analysis]
+) -> LeftOutRecording:
+    return LeftOutRecording(
+        file=fitted.file,
+        v_H0=fitted.v_H0,
+        predicted_v_H0=prediction.velocity if prediction else None,
+        predicted_db=prediction.error_db if prediction else None,
+        partials=prediction.partials if prediction else None,
+        nearest_db=min((_difference_db(analysis, other) for other in neighbours), default=None),
+        blend_db=_blend_error_db(analysis, *neighbours) if len(neighbours) == 2 else None,
+        has_neighbours=len(neighbours) == 2,
+    )
 
 
 def _common_levels(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -12,7 +12,7 @@ import math
 import re
 import struct
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from ..errors import FitError
 from ..inference.intervals import Observations
 from ..io.files import printable, read_file
 from ..io.table_output import require_optional
+from ..schema.fit import DrawsFile
 
 __all__ = ["DRAWS_FILE", "Draws", "encode_draws", "read_draws"]
 
@@ -108,19 +109,19 @@ def _little_endian(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, "<i8" if values.dtype.kind in "iu" else "<f8")
 
 
-def read_draws(entry: Any, folder: Path, invariants: Mapping[str, Any]) -> Draws | None:
-    """Read the draws in a `folder` that `entry` of its `fit.json` describes; None without entry or file.
+def read_draws(entry: DrawsFile | None, folder: Path, invariants: Container[str]) -> Draws | None:
+    """Read the draws in a `folder` that `entry` of its fit describes; None without entry or file.
 
     Raises
     ------
     FitError
         If the file is not the one that was saved with this fit, or does not hold draws.
     """
-    path = folder / DRAWS_FILE  # the document cannot name another file
-    if not isinstance(entry, dict) or not path.exists():
+    path = folder / DRAWS_FILE  # a fit cannot name another file
+    if entry is None or not path.exists():
         return None
     data = read_file(path, LARGEST_DRAWS, FitError)
-    if hashlib.sha256(data).hexdigest() != entry.get("sha256"):
+    if hashlib.sha256(data).hexdigest() != entry.sha256:
         raise FitError(f"{printable(path)}: is not the file that was saved with this fit (SHA-256); {_HINT}")
     try:
         tables = _tables(data)
@@ -130,7 +131,7 @@ def read_draws(entry: Any, folder: Path, invariants: Mapping[str, Any]) -> Draws
         raise FitError(f"{printable(path)}: does not hold draws ({reason}); {_HINT}") from None
 
 
-def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Mapping[str, Any]) -> Draws:
+def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Container[str]) -> Draws:
     values, likelihood = tables.pop("posterior", {}), tables.pop("log_likelihood", {})
     shapes = {array.shape for array in values.values()}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or not math.prod(shape):

@@ -5,7 +5,7 @@ Every result opens with the statement. Each parameter has a status, and warnings
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,17 @@ from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
 from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
+from ..schema.fit import LevelErrors
+from ..schema.quantities import Status, unit_of
 from .remarks import mixed_format_warnings, recording_warnings
-from .serialise import unit_and_meaning
 from .velocity_check import PIANIST_VELOCITY_RATIO, contradictory_velocities
 
 __all__ = [
-    "AT_BOUND", "NOT_CONVERGED", "STATUSES", "identifiability_statement", "invariant_status",
+    "AT_BOUND", "NOT_CONVERGED", "identifiability_statement", "invariant_status",
     "scaled_parameters", "statuses", "strong_correlations", "unidentifiable_parameters",
     "velocity_assignment_warning", "velocity_statuses", "warnings",
 ]  # fmt: skip
 
-STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
 MAX_SD_OVER_PRIOR = 0.7
 # Nor is one whose standard deviation of log(value) exceeds this.
@@ -74,8 +74,8 @@ SEVERAL_VELOCITIES = (
 # --- statuses ---------------------------------------------------------------------------------------------------------
 
 
-def statuses(fit: InferenceResult) -> dict[str, str]:
-    """One of `STATUSES` by parameter name."""
+def statuses(fit: InferenceResult) -> dict[str, Status]:
+    """The status of every parameter by name."""
     u, start = fit.problem.parametrisation, fit.problem.initial_values
     at_bound, unidentifiable, scaled = (
         u.at_bound(fit.estimate.theta),
@@ -86,7 +86,7 @@ def statuses(fit: InferenceResult) -> dict[str, str]:
     prior = np.linalg.norm(u.tangent(fit.estimate.theta) * u.sd, axis=1)
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
-    def status(i: int, name: str) -> str:
+    def status(i: int, name: str) -> Status:
         if not u.free[i]:
             return "assumed" if start.fixed.get(name) == "assumed" else "given"
         if at_bound[i]:
@@ -141,24 +141,25 @@ def unidentifiable_parameters(fit: InferenceResult) -> tuple[str, ...]:
     return (*felt, "M_H") if problem.path else felt
 
 
-def invariant_status(states: Sequence[str], deviation: float) -> str:
+def invariant_status(states: Sequence[Status], deviation: float) -> Status:
     """Status of a ratio or product from the statuses of its factors and the standard deviation of its logarithm."""
-    for decisive in ("not-identifiable", "at-bound"):
-        if decisive in states:
-            return decisive
+    if "not-identifiable" in states:
+        return "not-identifiable"
+    if "at-bound" in states:
+        return "at-bound"
     if not deviation:
         return "assumed" if "assumed" in states else "given"
     return "not-identifiable" if deviation > MAX_LOG_SD else "fitted"
 
 
-def velocity_statuses(fit: InferenceResult) -> list[str]:
-    """One of `STATUSES` for the velocity of every stroke."""
+def velocity_statuses(fit: InferenceResult) -> list[Status]:
+    """The status of every stroke's velocity."""
     problem = fit.problem
     if problem.calibrated:
         unidentifiable = fit.excess > HAMMER_EXCESS_DB
     else:
         unidentifiable = not _path_compared(fit) or bool(_implausible_velocities(fit))
-    searched = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
+    searched: Status = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
     at_bound = problem.parametrisation.at_bound(fit.estimate.theta)[problem.parametrisation.shared :]
     return [
         "given" if v is not None else "at-bound" if bound else searched
@@ -166,7 +167,7 @@ def velocity_statuses(fit: InferenceResult) -> list[str]:
     ]
 
 
-def _names_at_bound(fit: InferenceResult, states: dict[str, str]) -> list[str]:
+def _names_at_bound(fit: InferenceResult, states: Mapping[str, Status]) -> list[str]:
     """Parameters at a search bound."""
     names = [name for name, state in states.items() if state == "at-bound"]
     return names + ["v_H0"] * ("at-bound" in velocity_statuses(fit))
@@ -175,7 +176,7 @@ def _names_at_bound(fit: InferenceResult, states: dict[str, str]) -> list[str]:
 # --- sentences --------------------------------------------------------------------------------------------------------
 
 
-def identifiability_statement(fit: InferenceResult, states: dict[str, str], levels: dict) -> str:
+def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors) -> str:
     """The opening sentences: the kind of measurement, and which parameters it determines."""
     problem = fit.problem
     if problem.calibrated:
@@ -184,9 +185,9 @@ def identifiability_statement(fit: InferenceResult, states: dict[str, str], leve
     several = SEVERAL_VELOCITIES if _path_compared(fit) else NO_VELOCITIES_COMPARED
     text = (ONE_RECORDING if problem.path else ONE_RECORDING_WITHOUT_PATH) if count == 1 else several.format(count)
     text += (
-        f"The rms error of the partial levels is {levels['initial_db']:.1f} dB before the fit, "
-        f"{levels['fitted_db']:.1f} dB after it. With the {_initial_hammer(problem)} hammer, at its best velocities "
-        f"and {'output path' if problem.path else 'gain'}, it is {levels['path_only_db']:.1f} dB."
+        f"The rms error of the partial levels is {levels.initial_db:.1f} dB before the fit, "
+        f"{levels.fitted_db:.1f} dB after it. With the {_initial_hammer(problem)} hammer, at its best velocities "
+        f"and {'output path' if problem.path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
     )
     if not _path_compared(fit):
         felt = any(
@@ -213,7 +214,7 @@ def _initial_hammer(problem: FitProblem) -> str:
     return "initial" if start.user_given or start.law.hammers is None else "literature"
 
 
-def _calibrated(fit: InferenceResult, states: dict[str, str]) -> str:
+def _calibrated(fit: InferenceResult, states: Mapping[str, Status]) -> str:
     """The statement of calibrated recordings."""
     several = len(fit.problem.recordings) > 1
     opening = "The recordings are calibrated" if several else "The recording is calibrated"
@@ -282,7 +283,9 @@ def _identified(fit: InferenceResult, a: str, b: str) -> str:
     return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
 
 
-def warnings(fit: InferenceResult, states: dict[str, str], worse: Sequence[str], errors: Sequence[float]) -> list[str]:
+def warnings(
+    fit: InferenceResult, states: Mapping[str, Status], worse: Sequence[str], errors: Sequence[float]
+) -> list[str]:
     """Warnings, the most important first.
 
     Parameters
@@ -384,7 +387,7 @@ def _mixture(fit: InferenceResult) -> list[str]:
     largest = int(np.argmax(difference[: u.shared]))
     is_force = bool(u.force_and_exponent_index) and largest == u.force_and_exponent_index[0]
     name = f"the felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm" if is_force else u.names[largest]
-    unit = "N" if is_force else unit_and_meaning(u.names[largest], u.law)["unit"]
+    unit = "N" if is_force else unit_of(u.names[largest], u.law)
     shown, second = np.exp(z[[0, other], largest])
     first, next_best = (f"{100 * weight[at]:.0f} %" for at in (0, other))
     return [

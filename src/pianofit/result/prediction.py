@@ -25,7 +25,6 @@ from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
 from ..threads import one_blas_thread
 from .comparison import audible_partials
-from .result import Result
 
 __all__ = ["Prediction", "predict_recording"]
 
@@ -47,7 +46,7 @@ class Prediction:
 
     velocity: float  # m/s
     gain_db: float  # relative to the gain of the fit
-    cents: float  # relative to the pitch of the fit
+    pitch_offset_cents: float  # relative to the pitch of the fit
     error_db: float  # rms over partials, one gain removed
     partials: int
     level: np.ndarray  # dB, predicted, with velocity discrepancy [partials]
@@ -58,28 +57,29 @@ class Prediction:
         limit = ", at the limit of the searched range" if self.velocity_at_search_limit else ""
         return (
             f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.velocity:.3g} m/s"
-            f"{limit}, {self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
+            f"{limit}, {self.pitch_offset_cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
         )
 
 
 @one_blas_thread()
 def predict_recording(
-    notes: Result | Note | Sequence[tuple[float, Note]],
+    notes: Note | Sequence[tuple[float, Note]],
     analysis: Analysis | Source,
     *,
     gains: Sequence[float] | None = None,
 ) -> Prediction:
-    """Predict a recording by a fit, at the velocity that explains its partial levels best.
+    """Predict a recording by notes, at the velocity that explains its partial levels best.
+
+    A fit predicts with `Result.predict`.
 
     Parameters
     ----------
-    notes : a fit, one note, or pairs of posterior weight and note, one for each minimum. Each note has its own best
+    notes : one note, or pairs of posterior weight and note, such as `Result.mixture`. Each note has its own best
         velocity. The predicted levels, dB, are the weighted mean over the notes. Note, velocity and pitch are those of
         the first.
     analysis : analysis of the recording, see `analyse`, or the recording in any form that `fit` takes.
     gains : gains of the recordings that were fitted through the same output path, dB relative to that of the note. If
-        they agree, the loudness of the recording helps to determine the velocity. The default is `Result.gains` for a
-        fit, and none for notes.
+        they agree, the loudness of the recording helps to determine the velocity.
 
     Returns
     -------
@@ -102,11 +102,9 @@ def predict_recording(
     >>> f"{prediction.velocity:.1f} m/s, {prediction.error_db:.1f} dB"
     '3.0 m/s, 0.0 dB'
     """
-    if isinstance(notes, Result):
-        notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else _mixture(notes)
     if not mixture:
-        raise ParameterError("notes=[] is empty; give a fit, a note, or notes with their weights")
+        raise ParameterError("notes=[] is empty; give a note, or notes with their weights")
     gains, (_, first) = gains or (0.0,), mixture[0]
     analysis = _same_key_analysis(analysis, first)
     p = analysis.partials
@@ -128,7 +126,7 @@ def predict_recording(
 
 
 def _mixture(notes: Sequence[tuple[float, Note]]) -> list[tuple[float, Note]]:
-    expected = "a fit, a note, or a list of (weight, note)"
+    expected = "a note, or a list of (weight, note)"
     check_type("notes=", notes, list | tuple, expected)
     for pair in notes:
         check_type("notes: ", pair, tuple | list, expected)

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import copy
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
-from ..io.files import printable, reference_row
+from ..io.files import printable
 from ..io.number_format import counted
 from ..model import Simulation
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..recording.recording import Recording, Source
+from ..schema.decode import builtins_of
+from ..schema.fit import Criterion, Fit, LevelErrors, fit_path, read_fit
+from ..schema.notes import notes_of_minima, notes_of_recordings
+from ..schema.quantities import Covariance, Quantities
 from .draws import DRAWS_FILE, Draws, read_draws
-from .quantities import Covariance, Quantities
+
+if TYPE_CHECKING:
+    from .cross_validation import CrossValidation
+    from .prediction import Prediction
 
 __all__ = ["FittedRecording", "Result", "RenderedFit"]
 
@@ -54,12 +60,12 @@ class FittedRecording:
     level: np.ndarray  # measured, dB in the pickup unit [partials]
     recording: Recording
     analysis: Analysis
-    criterion: dict
-    levels: dict
+    criterion: Criterion
+    levels: LevelErrors
     ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
 
     def __repr__(self) -> str:
-        return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
+        return f"FittedRecording: {self.recording!r}, level error {self.levels.fitted_db:.2f} dB after the fit"
 
     @property
     def final(self) -> RenderedFit:
@@ -90,40 +96,47 @@ class FittedRecording:
 class Result:
     """A finished fit, or one that was loaded from its `fit.json`.
 
-    `document` is the content of `fit.json`. `recordings` are in the order in which they were given. A loaded result has
-    none until `with_recordings` reads them; plots, `save` and `report` do this when needed. `reference_index` is the
-    index of the reference recording. `minima_notes` has a note for each minimum and recording [minima][recordings], and
-    `weights` the posterior weights of the minima. `draws` are posterior draws [chains, draws] by name, if the fit
-    computed them. `folder` is the folder that the result was loaded from.
+    `fit` has all that the fit reports, as in `fit.json`. `recordings` are in the order in which they were given. A
+    loaded result has none until `with_recordings` reads them; plots, `save` and `report` do this when needed.
+    `minima_notes` has a note for each minimum and recording [minima][recordings]. `draws` are posterior draws [chains,
+    draws] by name, if the fit computed them. `folder` is the folder that the result was loaded from.
     """
 
-    document: dict
+    fit: Fit
     recordings: tuple[FittedRecording, ...]
-    reference_index: int
     minima_notes: tuple[tuple[Note, ...], ...]
-    weights: tuple[float, ...]
     draws: Draws | None = None
     folder: Path | None = None
 
     @property
-    def claims(self) -> str:
-        """The identifiability statement: the kind of measurement, and which parameters it determines."""
-        return self.document["claims"]
+    def identifiability_statement(self) -> str:
+        """The kind of measurement, and which parameters it determines."""
+        return self.fit.identifiability_statement
 
     @property
-    def messages(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Warnings, the most important first."""
-        return tuple(self.document["messages"])
+        return self.fit.warnings
 
     @property
     def parameters(self) -> Quantities:
         """Every parameter by name, with value, unit, 95 % interval, status and meaning."""
-        return Quantities.of(self.document["parameters"])
+        return self.fit.parameters
 
     @property
     def invariants(self) -> Quantities:
         """Quantities that do not depend on an assumed length, mass or (except F/M_S) velocity."""
-        return Quantities.of(self.document["invariants"])
+        return self.fit.invariants
+
+    @property
+    def reference_index(self) -> int:
+        """Index of the reference recording."""
+        return self.fit.reference_index
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Posterior weights of the minima, the best first."""
+        return tuple(minimum.weight for minimum in self.fit.minima) or (1.0,)
 
     @property
     def note(self) -> Note:
@@ -140,7 +153,7 @@ class Result:
     @property
     def gains(self) -> tuple[float, ...]:
         """Gains of the recordings in the path group of the reference recording, dB relative to it."""
-        return relative_gains(self.document)
+        return self.fit.relative_gains()
 
     @property
     def covariance(self) -> Covariance:
@@ -151,10 +164,9 @@ class Result:
         FitError
             If the fit was loaded from a file without a covariance.
         """
-        covariance = Covariance.of(self.document.get("covariance"))
-        if covariance is None:
+        if self.fit.covariance is None:
             raise FitError("covariance: this fit.json has none; fit the recordings again")
-        return covariance
+        return self.fit.covariance
 
     @property
     def reference(self) -> FittedRecording:
@@ -223,24 +235,60 @@ class Result:
         """Analysis of the reference recording."""
         return self.reference.analysis
 
+    def predict(self, recording: Analysis | Source, gains: Sequence[float] | None = None) -> Prediction:
+        """Predict a recording that took no part in the fit. Only its velocity, gain and pitch are fitted.
+
+        Parameters
+        ----------
+        recording : the recording in any form that `fit` takes, or its analysis.
+        gains : gains of the recordings that were fitted through the same output path, dB relative to that of the note;
+            `gains` of this result if None.
+
+        Returns
+        -------
+        A `Prediction`: velocity in m/s, predicted levels [partials] and their rms error in dB.
+
+        Raises
+        ------
+        FitError
+            If too few partials are above the noise, or no velocity gives a finite sound.
+        RecordingError, AnalysisError
+            If the recording cannot be used, is too short, or is of another key.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves:
+
+        >>> import pianofit
+        >>> it = pianofit.preset("chabassier-F3")
+        >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force")
+        >>> samples = sound.waveform(44_100, 44_100)
+        >>> prediction = pianofit.Result.load("fit").predict((0.5 * samples / abs(samples).max(), 44_100))
+        >>> prediction.error_db < 1.0
+        True
+        """
+        from .prediction import predict_recording
+
+        return predict_recording(self.mixture, recording, gains=self.gains if gains is None else gains)
+
     # --- display ------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        count, statement = len(self.document["recordings"]), self.claims
-        state = "converged" if self.document["converged"] else "NOT CONVERGED"
+        count, statement = len(self.fit.recordings), self.identifiability_statement
+        state = "converged" if self.fit.converged else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
-        lines = [f"Result of {counted(count, 'recording')}, {self.document['recipe']} recipe, {state}", short]
+        lines = [f"Result of {counted(count, 'recording')}, {self.fit.recipe} recipe, {state}", short]
         tables = (self.invariants, self.parameters)
         lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in tables]
         return "\n".join(line for line in lines if line)
 
     def __str__(self) -> str:
-        return "\n\n".join(filter(None, [self.claims, str(self.invariants), str(self.parameters)]))
+        return "\n\n".join(filter(None, [self.identifiability_statement, str(self.invariants), str(self.parameters)]))
 
     def _repr_html_(self) -> str:
-        notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
+        notes = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         return (
-            f"<p><strong>{escape(self.claims)}</strong></p>{self.invariants._repr_html_()}"
+            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>{self.invariants._repr_html_()}"
             f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
         )
 
@@ -257,8 +305,8 @@ class Result:
     # --- export -------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """A copy of the content of `fit.json` (docs/files.md)."""
-        return copy.deepcopy(self.document)
+        """The content of `fit.json` as dicts, lists, numbers and texts (docs/files.md)."""
+        return builtins_of(self.fit)
 
     def to_dataframe(self) -> Any:
         """The parameters as a pandas data frame, one row each. For the invariants use `invariants.to_dataframe()`.
@@ -286,7 +334,7 @@ class Result:
             If ArviZ is not installed.
         """
         if self.draws is None:
-            if any(q.interval_by == "posterior" for q in self.parameters.values()):
+            if any(q.interval_method == "posterior" for q in self.parameters.values()):
                 raise FitError(
                     f"the file of the draws, {DRAWS_FILE}, is missing next to fit.json; copy it there, or fit again"
                 )
@@ -309,13 +357,15 @@ class Result:
 
         return save(self, Path(folder), force=force, page=page)
 
-    def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
+    def report(
+        self, path: str | os.PathLike[str], *, title: str | None = None, held_out: CrossValidation | None = None
+    ) -> Path:
         """Write the page to `path`, a file, or a folder for `report.html`, and return its path.
 
         Parameters
         ----------
         title : title of the page; the names of the recordings and the note if None.
-        held_out : cross-validation of the same recordings, from `cross_validate`, to be shown with the fit.
+        held_out : cross-validation of the same recordings, to be shown with the fit.
 
         Raises
         ------
@@ -355,18 +405,6 @@ class Result:
         ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
-        document, name = read_fit(path), printable(path)
-        weights, mixture = zip(*notes_of_minima(document, path, felt), strict=True)
-        from .reload import every_note
-
-        notes, (first, _) = every_note(document, mixture, name), reference_row(document["recordings"])
-        invariants = document.get("invariants")
-        draws = read_draws(document.get("draws"), path.parent, invariants if isinstance(invariants, dict) else {})
-        result = cls(document, (), first, notes, weights, draws, path.parent)
-        try:
-            _ = repr(result), result._repr_html_()
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
-            raise FitError(
-                f"{name}: is incomplete ({printable(repr(missing))}); give the file that pianofit fit wrote"
-            ) from None
-        return result
+        fit, name = read_fit(path), printable(path)
+        notes = notes_of_recordings(fit, notes_of_minima(fit, path.parent, name, felt), name)
+        return cls(fit, (), notes, read_draws(fit.draws, path.parent, fit.invariants), path.parent)

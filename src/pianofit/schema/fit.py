@@ -69,7 +69,7 @@ HINT = "give the file that pianofit fit wrote"
 
 # Levels of an output path, dB: amplitudes beyond them are lost in rounding.
 PathLevel = Annotated[float, Meta(ge=-300.0, le=300.0)]
-Rate = Annotated[float, Meta(ge=RATES[0], le=RATES[1])]
+Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
 PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure"]
 
 
@@ -167,8 +167,8 @@ class Criterion:
 class LevelErrors:
     """Rms errors of the levels of the partials, dB, one gain removed."""
 
-    initial_db: Number | None
-    fitted_db: Number | None
+    initial_db: Number
+    fitted_db: Number
     reference_hammer_db: Number | None  # of the initial hammer at its best velocities and output path
     partials: int
 
@@ -186,6 +186,9 @@ class PartialLevels:
     def __post_init__(self) -> None:
         if len({column.shape for column in vars(self).values()}) != 1 or self.number.ndim != 1 or not len(self.number):
             raise ValueError("Expected columns of one length, with at least one partial")
+        if not ((self.number % 1 == 0) & (self.number >= 1)).all():
+            raise ValueError("number must hold whole numbers of at least 1")
+        object.__setattr__(self, "number", self.number.astype(int))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,6 +92,7 @@ class ModeTable:
             raise ValueError("Expected frequencies and decays above 0, and errors of 0 or more")
         if not ((self.partial % 1 == 0) & (self.partial >= 1) & (self.partial <= MOST_MODES)).all():
             raise ValueError(f"Expected partials that are whole numbers from 1 to {MOST_MODES}")
+        object.__setattr__(self, "partial", self.partial.astype(int))
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ class ModalResponseEntry:
             knock, rate = self.knock.samples(folder, len(amplitudes), name)
         pole = -table.decay + 2j * np.pi * table.frequency
         factor = None if gain is None else VelocityGain(gain.velocity, _matrix(gain.strokes))
-        return ModalResponse(table.partial.astype(int), pole, error, amplitudes, knock, rate, factor)
+        return ModalResponse(table.partial, pole, error, amplitudes, knock, rate, factor)
 
 
 @dataclass(frozen=True)
@@ -229,7 +230,7 @@ class FittedModalResponse:
     """The choice of a key's render model, and its modes unless the string model is used alone."""
 
     render_model: RenderModel = "modes and knock"
-    leave_one_out_db: dict[str, Number] | None = None  # mean error of predicted layers by render model, dB
+    leave_one_out_db: dict[RenderModel, Number] | None = None  # mean error of predicted layers by render model, dB
     layers: tuple[LayerEntry, ...] = ()  # soft to loud
     response: ModalResponseEntry | None = None
 

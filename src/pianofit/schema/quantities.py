@@ -6,19 +6,29 @@ import difflib
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.number_format import format_with_interval
 from ..io.table_output import data_frame, html_table, write_csv
 from ..io.uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
 from .decode import Number
 
-__all__ = ["MEANINGS", "STATUSES", "UNITS", "Covariance", "Quantities", "Quantity", "Status"]
+__all__ = [
+    "MEANINGS",
+    "STATUSES",
+    "UNITS",
+    "Covariance",
+    "Quantities",
+    "Quantity",
+    "Status",
+    "meaning_of",
+    "unit_of",
+]
 
 Status = Literal["fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable"]
 STATUSES: tuple[str, ...] = get_args(Status)
@@ -151,17 +161,15 @@ class Quantities(Mapping[str, Quantity]):
         """Read a table of a file: the entries by name."""
         if not isinstance(value, dict) or not all(isinstance(entry, dict) for entry in value.values()):
             raise ValueError("Expected a table of quantities by name")
-        return cls(
-            {
-                n: convert({"meaning": meaning_of(n)} | entry | {"name": n}, Quantity, f"{n}")
-                for n, entry in value.items()
-            }
+        return cls.of(
+            convert({"meaning": meaning_of(name)} | entry | {"name": name}, Quantity, name)
+            for name, entry in value.items()
         )
 
     def to_builtins(self) -> dict[str, dict[str, Any]]:
         """Return the table of a file: the entries by name."""
         return {
-            name: {key: value for key, value in vars(quantity).items() if key != "name"}
+            name: {own.name: getattr(quantity, own.name) for own in fields(Quantity) if own.name != "name"}
             for name, quantity in self.items()
         }
 
@@ -219,8 +227,15 @@ def _missing(name: object, available: Sequence[str]) -> str:
     return f"{name!r} does not exist; " + (f"did you mean {near[0]}?" if near else f"use one of {', '.join(available)}")
 
 
-def meaning_of(name: str) -> str:
-    """Return the meaning of a quantity of this package; empty for a parameter of another felt law."""
+def unit_of(name: str, law: FeltLaw) -> str:
+    """Return the unit of a parameter of a fit with `law`."""
+    return law.parameters[name].unit if name in law.parameters else UNITS[name]
+
+
+def meaning_of(name: str, law: FeltLaw | None = None) -> str:
+    """Return the meaning of a quantity; empty for a parameter of a felt law that is unknown here."""
+    if law is not None and name in law.parameters:
+        return law.parameters[name].meaning
     is_ratio = name.startswith("v/v_ref")
     return "velocity of a stroke over that of the reference" if is_ratio else MEANINGS.get(name, "")
 
