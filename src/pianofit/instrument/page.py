@@ -178,8 +178,8 @@ def _residuals(axes: Axes, instrument: Instrument) -> None:
 def _decays(axes: Axes, partials: list[tuple[int, PartialDecay]], name: str) -> None:
     """One quantity of the lowest partials of the keys with a modal response."""
     values = [(midi, entry.partial, getattr(entry, name)) for midi, entry in partials]
-    for partial in sorted({number for _, number, _ in values}):
-        shown = [(midi, value) for midi, number, value in values if number == partial and value is not None]
+    for partial in sorted({k for _, k, _ in values}):
+        shown = [(midi, value) for midi, k, value in values if k == partial and value is not None]
         axes.plot(
             *np.reshape(shown, (-1, 2)).T,
             marker=MARKERS[(partial - 1) % len(MARKERS)],

@@ -199,14 +199,14 @@ class KeyEntry:
         response = "neighbours" if is_interpolated else None
         if played.ringing is not None and not is_interpolated:
             response = ModalResponseEntry.of(played.ringing, embed_knock=True)
-        hammer = {name: float(getattr(played.hammer, name)) for name in HammerEntry.__dataclass_fields__}
+        path, hammer = played.path, {n: float(getattr(played.hammer, n)) for n in HammerEntry.__dataclass_fields__}
         return cls(
             midi=midi,
             string=StringEntry(*map(float, played.string)),
             hammer=HammerEntry(**hammer),
             geometry=GeometryEntry(*map(float, played.geometry)),
             gain=float(played.gain),
-            path=PathEntry.of(played.path),
+            path=None if path is None else PathEntry(path.frequency, path.db, path.decay_at(path.frequency)),
             modal_response=response,
             **entries,
         )
