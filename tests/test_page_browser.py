@@ -267,7 +267,7 @@ def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
     assert found.keys[62].note.hammer.M_H == own.keys[62].note.hammer.M_H
     gains = [found.keys[midi].note.gain / own.keys[midi].note.gain for midi in (50, 62)]
     assert gains == pytest.approx([10**1.5] * 2)
-    assert found.values[60] == {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}
+    assert found.keys[60].values == {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.0, (1.9, 2.2))}
 
 
 DROP = """([name, bytes]) => {

@@ -162,9 +162,9 @@ def render(
 ) -> None:
     """Synthesise a fitted note at any velocity, with its gain and output path."""
     check_sound_target(out, force)
-    from ..fit_file import load_note
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
+    from ..schema.notes import load_note
 
     check_render(velocity, seconds, 44_100 if rate is None else rate)
     note, own_rate = load_note(fit_json)
