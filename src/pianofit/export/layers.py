@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import AnalysisError, ParameterError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
     "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfade_layers", "format_keys", "key_ranges", "layer_velocities",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..analysis.note_names import midi_to_note
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.files import printable
 from ..playback.voice import LAST_DAMPER
 from .layers import SampledKey, format_keys, silent_keys
@@ -24,7 +24,7 @@ NO_LICENCE = (
 def readme_text(instrument: Instrument, file: str, keys: Sequence[SampledKey], licence: str | None) -> str:
     """Text of README.txt. Names and words from the user are escaped, so that each stays on one line."""
     sampled = [key.midi for key in keys]
-    unrecorded = instrument.unrecorded_keys(sampled)
+    unrecorded = instrument.unrecorded(sampled)
     recorded = [midi for midi in sampled if midi not in unrecorded]
     transposed = sorted({midi for key in keys for midi in range(key.low, key.high + 1)} - set(sampled))
     return f"""{printable(instrument.name) or "An instrument"}

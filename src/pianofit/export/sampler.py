@@ -18,7 +18,7 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..errors import OutputError, ParameterError, check_range
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import StringVoice, damper_rate
@@ -184,7 +184,7 @@ def _write_samples(
         sampled_keys.append(SampledKey(key, low, high, damper_rate(key), layers.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     summary = ExportSummary(
-        len(keys), len(instrument.unrecorded_keys(keys)), sum(k.high - k.low for k in sampled_keys),
+        len(keys), len(instrument.unrecorded(keys)), sum(k.high - k.low for k in sampled_keys),
         len(keys) * options.layers, frames / options.rate, size, 20 * math.log10(gain), silent_keys(sampled_keys),
     )  # fmt: skip
     return summary, sampled_keys

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import RecordingError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 from ..io.files import printable, read_file
 from .midi_file import MidiError, MidiFile, parse_midi
 

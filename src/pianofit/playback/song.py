@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError, check_range
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from ..instrument.document import Instrument
-from ..instrument.text import unrecorded_text
+from ..instrument import Instrument
 from ..report import html
 from .payload import KnockEncoding, encode_instrument
 from .recordings import recorded_layers
@@ -46,32 +45,49 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
 
     Parameters
     ----------
+    path : HTML file to write.
+    instrument : instrument to play.
     recordings : include every recorded layer for comparison with its key, in addition to the 1.5 MB.
 
-    Raises `ParameterError` for a felt law that a page cannot play, or an instrument or recordings that are too large.
-    Raises `FitError` if requested recordings are missing, and `OutputError` if `path` cannot be written.
+    Returns
+    -------
+    The number of keys, recorded keys and recordings, and the encoding of the knocks.
+
+    Raises
+    ------
+    ParameterError
+        For a felt law that a page cannot play, or an instrument or recordings that are too large.
+    FitError
+        If requested recordings are missing.
+    OutputError
+        If `path` cannot be written.
+
+    Examples
+    --------
+    >>> from pianofit.instrument import load_instrument
+    >>> from pianofit.web import write_page
+    >>> write_page("piano.html", load_instrument("batch", prefix="cp80")).recorded
+    2
     """
-    between, beyond = instrument.unrecorded_counts
-    document, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
-    content: dict[str, Any] = {
-        "instrument": document,
-        "modules": {"engine": engine_source(), "worklet": script_source("worklet.js")},
-        "recorded": sum(key["recorded"] for key in document["keys"]),
-        "guesses": unrecorded_text(between, beyond) + _changed(len(instrument.changed)),
-        "layers": recorded_layers(instrument) if recordings else {},
-    }  # fmt: skip
+    payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
+    layers = recorded_layers(instrument) if recordings else {}
+    changed, recorded = len(instrument.changed), len(instrument.recorded)
+    by_hand = f"; {changed} {'was' if changed == 1 else 'were'} changed by hand" if changed else ""
     html.write_page(
-        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",),
-        scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS, title=instrument.name or "Piano", **content,
-    )  # fmt: skip
-    return PageSummary(
-        len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
+        path,
+        "page.html.j2",
+        package=PACKAGE,
+        styles=("keyboard.css",),
+        scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS,
+        title=instrument.name or "Piano",
+        instrument=payload,
+        modules={"engine": engine_source(), "worklet": script_source("worklet.js")},
+        recorded=recorded,
+        guesses=instrument.guesses + by_hand,
+        layers=layers,
     )
-
-
-def _changed(count: int) -> str:
-    """End of the sentence about guesses, if keys were changed by hand."""
-    return f"; {count} {'was' if count == 1 else 'were'} changed by hand" if count else ""
+    count = sum(map(len, layers.values()))
+    return PageSummary(len(instrument.keys), recorded, *instrument.unrecorded_counts, knocks, count)
 
 
 def engine_source() -> str:

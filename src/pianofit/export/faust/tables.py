@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import fftconvolve, resample_poly
 
-from ...instrument.document import Instrument
+from ...instrument import Instrument
 from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
 from ...playback.repeated_strike import StringTables, strike_string, string_tables

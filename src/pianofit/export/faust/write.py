@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ParameterError
-from ...instrument.document import Instrument
+from ...instrument import Instrument
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice, damper_rate
@@ -74,7 +74,7 @@ def write_faust(
     text = _text(instrument, definitions, key_tables, channels, rate, licence)
     replace_file(path, text.encode())
     return FaustSummary(
-        len(keys), len(instrument.unrecorded_keys(keys)), modes, sum(key.left_out for key in key_tables), rate, numbers,
+        len(keys), len(instrument.unrecorded(keys)), modes, sum(key.left_out for key in key_tables), rate, numbers,
         20 * math.log10(gain),
     )  # fmt: skip
 
