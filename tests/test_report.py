@@ -28,6 +28,7 @@ from report_cases import (
 )
 from scipy.signal import lfilter
 
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.errors import OutputError
 from pianofit.io.files import replace_file
 from pianofit.io.number_format import number
@@ -35,7 +36,7 @@ from pianofit.report.figures import _arrow_positions, _partials, _spectra
 from pianofit.report.html import asset
 from pianofit.report.page import FigureData, report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
-from pianofit.report.sound import k_weighted_mean_square, make_clips
+from pianofit.report.sound import make_clips
 from pianofit.report.text import STATUS, minima, modal_response_line, modal_response_text, recontact_text, rows
 from pianofit.result.identifiability import STATUSES
 

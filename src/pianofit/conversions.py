@@ -1,15 +1,18 @@
-"""Shared conversions and constants: pitch in equal temperament, 95 % intervals, beating."""
+"""Shared conversions and constants: pitch in equal temperament, cents, decibels, 95 % intervals, beating."""
 
 from __future__ import annotations
 
 import math
 
-__all__ = ["BEATING_DB", "HALF_WIDTH_95", "hertz_of", "midi_of"]
+__all__ = ["BEATING_DB", "CENTS", "DB", "HALF_WIDTH_95", "hertz_of", "midi_of"]
 
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.
 HALF_WIDTH_95 = 1.959964
 # Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.
 BEATING_DB = 1.5
+# Cents per unit of the natural logarithm of a frequency, and dB per unit of that of an amplitude.
+CENTS = 1200 / math.log(2)
+DB = 20 / math.log(10)
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

@@ -14,10 +14,11 @@ import numpy as np
 
 from ..analysis import law_frequency
 from ..conversions import HALF_WIDTH_95
+from ..dsp.loudness import audible_floor, mel_edges, mel_power
 from ..errors import FitError, ParameterError
 from ..felt import law_of
 from ..io.files import reference_row
-from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
+from ..modal_response import partial_band
 from ..model import Simulation, static_force
 from ..model.decay import decays_and_beats
 from ..parameters import PARAMETERS
@@ -361,7 +362,7 @@ def modal_response_curves(result: Result) -> ModalResponseCurves | None:
     # At least one frame, also of a very short recording.
     frames = time <= max(min(ENVELOPE_SECONDS, time[-1] - WINDOW_SECONDS), 0.0)
     time, measured, played = time[frames], measured[frames], played[frames]
-    floor = max(float(measured.max()), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
+    floor = audible_floor(measured)
     strongest = sorted(reference.partials.number[np.argsort(reference.level)[-ENVELOPES:]].tolist())
     return ModalResponseCurves(
         envelopes=envelopes_of(result, strongest),
@@ -388,11 +389,11 @@ def envelopes_of(result: Result, numbers: list[int]) -> tuple[Envelope, ...]:
     for k in numbers:
         centre = float(partials.frequency[partials.number == k][0])
         spacing = float(np.diff(law_frequency(f0, B, np.array([k, k + 1])))[0])
-        b = band(spectrum, count, rate, centre, kernel_seconds(spacing))
+        b = partial_band(spectrum, count, rate, centre, spacing)
         time = b.time - (onset - begin) / rate
-        end = min(ENVELOPE_SECONDS, (count - onset + begin) / rate - b.kernel)
+        end = min(ENVELOPE_SECONDS, (count - onset + begin) / rate - b.window)
         at = np.flatnonzero((time >= 0) & (time <= end))
         at = at[:: max(1, len(at) // ENVELOPE_POINTS)]
-        db = 20 * np.log10(np.maximum(2 * np.abs(b.values[:, at]), 1e-15))
+        db = 20 * np.log10(np.maximum(2 * np.abs(b.z[:, at]), 1e-15))
         envelopes.append(Envelope(k, centre, time[at], db[0], db[1], db[2] if len(db) > 2 else None))
     return tuple(envelopes)
