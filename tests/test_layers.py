@@ -33,7 +33,7 @@ USES = {
     "synthetic": "felt io model parameters recording setup",
     "modal_response_file": "io model",
     "fit_file": "felt io modal_response_file model parameters",
-    "inference": "analysis felt io literature model parameters progress recording setup threads",
+    "inference": "analysis dsp felt io literature model parameters progress recording setup threads",
     "result": "analysis criterion felt fit_file inference io model parameters recording setup threads",
     "modal_response": "analysis dsp modal_response_file model recording result threads",
     "report": "analysis dsp felt fit_file io modal_response modal_response_file model parameters result",
@@ -41,7 +41,7 @@ USES = {
     "bensa2005": "analysis criterion dsp felt inference io listening literature model parameters recording report"
     " result setup",
     "fitting": "analysis bensa2005 inference modal_response parameters progress recording result setup threads",
-    "instrument": "analysis fit_file io literature modal_response_file model parameters report",
+    "instrument": "analysis dsp fit_file io literature modal_response_file model parameters report",
     "playback": "dsp felt instrument io model parameters threads",
     "export": "analysis dsp instrument io model playback report threads",
     "web": "analysis dsp instrument io model parameters playback recording report",

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..conversions import DB
+from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
 from ..felt import FeltLaw
 from ..model.contact import strike_final_state
-from ..model.free_response import LEVEL_DECAY, LEVEL_SPAN
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
 from ..parameters import Geometry, String
@@ -40,7 +41,6 @@ __all__ = [
 
 # Strokes of one call: enough to fill vector units. With more, short contacts would wait for long ones.
 BATCH_SIZE = 8
-DB = 20 / np.log(10)
 
 
 class StaticConfig(NamedTuple):
@@ -85,8 +85,8 @@ def _level(
     amplitude = modes.pickup[: cfg.rows] * final.amplitude[: cfg.rows]
     size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
     size = size + alpha * (final.steps * modes.step - delay)
-    rate = 2 * (alpha + LEVEL_DECAY)
-    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SPAN) / rate))
+    rate = 2 * (alpha + LEVEL_RATE / 2)
+    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
     return level, final.separated
 
 
