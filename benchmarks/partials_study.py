@@ -28,8 +28,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pianofit.analysis import analyse, energy_level, hz_to_note
-from pianofit.analysis.demodulation import demodulate
+from pianofit.analysis import analyse, hz_to_note
+from pianofit.dsp.bands import kaiser_bands
+from pianofit.dsp.level import energy_level
 from pianofit.recording.recording import Recording, recording_from_samples
 
 RATE, SECONDS, LEAD = 44100, 6.0, 0.05
@@ -96,7 +97,7 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
 def by_pencil(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
     """Measure by one-component ESPRIT on each baseband, over its first 2 s."""
     x, f0 = recording.samples[recording.onset :], float(np.min(np.diff(truth.frequency, prepend=0)))
-    bands = demodulate(x, RATE, truth.frequency, min(0.97 * f0, 100.0), 0.005)
+    bands = kaiser_bands(x, RATE, truth.frequency, min(0.97 * f0, 100.0), 0.005)
     cut = bands.frames_within(0.0, 2.0)
     pole, amplitude = np.empty(len(truth.number), np.complex128), np.empty(len(truth.number), np.complex128)
     for i, z in enumerate(bands.z[:, cut]):

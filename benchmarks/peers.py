@@ -15,7 +15,7 @@ Every sound is brought to one start and one gain with the recording, the same wa
 - level: rms over partials of the levels (energy of the first 0.35 s under exp(-8 t)), dB, the mean taken out
 - envelope: mean |dB| of the partials' envelopes over 3 s, while the recording's is above its noise, one gain taken out
 - MR: multi-resolution STFT, spectral convergence plus L1 of log magnitudes (Yamamoto et al. 2020), K-weighted gain
-- realism: the mean of three log-mel distances, dB (`pianofit.modal_response.distance`); with
+- realism: the mean of three log-mel distances, dB (`pianofit.dsp.loudness`); with
   ../shared/tools/realism.py, the distance of that program is the witness
 """
 
@@ -133,9 +133,8 @@ def target(recording: Any, analysis: Any) -> Target:
 
 def aligned(samples: np.ndarray, to: Target) -> np.ndarray:
     """`samples` cut like the target, begun where the two differ least in their first 0.3 s, with the same loudness."""
-    from pianofit.modal_response.distance import log_mel_distances
+    from pianofit.dsp.loudness import k_weighted_mean_square, log_mel_distances
     from pianofit.recording.onset import find_onset
-    from pianofit.report.sound import k_weighted_mean_square
 
     lead, size = round(LEAD * to.rate), len(to.samples)
     start, best = find_onset(samples, to.rate, 1e-7) - lead, (np.inf, 0)
@@ -162,7 +161,7 @@ def envelopes(samples: np.ndarray, to: Target) -> np.ndarray:
 
 def measured(samples: np.ndarray, to: Target, tool: Any) -> dict[str, float]:
     """All distances of a sound from the target."""
-    from pianofit.modal_response.distance import log_mel_distances
+    from pianofit.dsp.loudness import log_mel_distances
 
     sound, lead = aligned(samples, to), round(LEAD * to.rate)
     own, other = envelopes(to.samples, to), envelopes(sound, to)

@@ -62,8 +62,7 @@ END, WINDOW, SMOOTH = 1.5, 0.37, 200.0
 # Notes from here on, Hz, whose lowest partial has 15 periods in 30 ms, say how loud it is below.
 TREBLE = 500.0
 CONSTANTS = {
-    "bands": ("KERNEL",),
-    "relative_pitch": ("LEAST_COHERENCE", "LARGEST_DETUNING", "PITCH_PARTIALS", "LEAST_PITCH_COHERENCE"),
+    "aligned_layers": ("KERNEL", "LEAST_COHERENCE", "LARGEST_DETUNING", "PITCH_PARTIALS", "LEAST_PITCH_COHERENCE"),
     "valid_frames": (
         "LOG_TIME_START",
         "RANGE",

@@ -21,17 +21,16 @@ are in tune.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import helmert
 
 from pianofit import Recording, analyse
-from pianofit.modal_response import PartialModes, align_layers, band, kernel_seconds, modes_of
-from pianofit.modal_response.bands import kernel_gain
-from pianofit.modal_response.esprit import Signals, fit_amplitudes
-from pianofit.modal_response.modes import NOISE_BANDWIDTH, SLOWEST, common_pattern, synthesise
+from pianofit.dsp.common_poles import Signals, fit_amplitudes
+from pianofit.modal_response import PartialModes, align_layers, modes_of, partial_band
+from pianofit.modal_response.modes import SLOWEST, common_pattern, synthesise
 from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.threads import one_blas_thread
 
@@ -104,18 +103,18 @@ def bands_of(recordings: Sequence[Recording], note: float | str) -> Bands:
     rows, samples = [], aligned.samples.shape[-1]
     rest = np.fft.rfft(aligned.samples - synthesise(modes, aligned))
     for m in sorted(modes, key=lambda m: m.number):
-        b = band(rest, samples, aligned.rate, m.frequency, kernel_seconds(m.spacing))
-        noise = np.abs(band(rest, samples, aligned.rate, m.frequency + m.spacing / 2, b.kernel).values)
-        own = (m.amplitude * kernel_gain(m.pole, b.kernel) / 2) @ np.exp(np.outer(m.pole, b.time - m.start))
-        z = b.values * np.exp(-2j * np.pi * m.offset[:, None, None] * b.time) + own
-        frames = select_valid_frames(b, z, noise, aligned.seconds)
+        b = partial_band(rest, samples, aligned.rate, m.frequency, m.spacing)
+        noise = np.abs(partial_band(rest, samples, aligned.rate, m.frequency + m.spacing / 2, m.spacing).z)
+        own = (m.amplitude * b.gain(m.pole) / 2) @ np.exp(np.outer(m.pole, b.time - m.start))
+        b = replace(b, z=b.z * np.exp(-2j * np.pi * m.offset[:, None, None] * b.time) + own)
+        frames = select_valid_frames(b, noise, aligned.seconds)
         if frames is not None:
-            stride = max(1, int(b.kernel / (NOISE_BANDWIDTH * b.step)))
+            stride = max(1, int(1 / (b.noise_width * b.step)))
             values, weight = frames.signals.values[:, ::stride], frames.signals.weight[:, ::stride]
             weight = weight / np.linalg.norm(weight * values, axis=1)[:, None] / np.sqrt(len(weight))
             signals = Signals(values, weight, b.step * stride)
             free = left_by_modes(m.pole, signals, frames.noise[frames.above_noise])
-            rows.append((m, signals, (m.frequency, frames.start, signals.step, b.kernel), free))
+            rows.append((m, signals, (m.frequency, frames.start, signals.step, b.window), free))
     size = np.max([row[1].values.shape for row in rows], axis=0)
     padded = np.zeros((2, len(rows), *size), complex)
     for k, (_, signals, *_) in enumerate(rows):

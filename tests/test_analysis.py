@@ -15,7 +15,6 @@ from pianofit.analysis import (
     Partials,
     analyse,
     analysis_to_dict,
-    energy_level,
     hz_to_note,
     law_frequency,
     midi_to_note,
@@ -23,10 +22,11 @@ from pianofit.analysis import (
     note_to_midi,
     partial_rows,
 )
-from pianofit.analysis.baseband_fit import first_fits, measure_levels, with_errors
-from pianofit.analysis.demodulation import demodulate
+from pianofit.analysis.baseband_fit import fit_bands, measure_levels
 from pianofit.analysis.glide import glide_detected
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
+from pianofit.dsp.bands import kaiser_bands
+from pianofit.dsp.level import energy_level
 from pianofit.errors import AnalysisError, RecordingError
 from pianofit.recording.recording import Recording, recording_from_samples
 
@@ -279,7 +279,7 @@ def test_a_beat_does_the_same_to_loud_and_soft_recordings():
 def test_windows_begin_at_one_time_however_long_the_recording_is():
     """The effect of a beat on a sum of frames depends on their start."""
     samples = string(*STRINGS["A0"], seed=4).recording().samples
-    first = {demodulate(samples[:n], RATE, np.array([27.5, 55.0]), 26.0, 0.005).time[0] for n in (88_200, 100_003)}
+    first = {kaiser_bands(samples[:n], RATE, np.array([27.5, 55.0]), 26.0, 0.005).time[0] for n in (88_200, 100_003)}
     assert len(first) == 1
 
 
@@ -287,14 +287,13 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     """To third order: for laws that differ by half, the conversion leaves less than 2 % of the difference."""
     samples = string(*STRINGS["A2"], seed=4).recording(noise=1e-5).samples[int(LEAD * RATE) :]
     number, (f0, B, _, b1, d2) = np.arange(1, 13), STRINGS["A2"]
-    bands = demodulate(samples, RATE, law_frequency(f0, B, number), 0.97 * f0, 0.005)
-    z, fit = first_fits(bands)
-    density = np.full(len(number), 1e-14)
+    bands = kaiser_bands(samples, RATE, law_frequency(f0, B, number), 0.97 * f0, 0.005)
+    fitted = fit_bands(bands, np.full(len(number), 1e-14))
 
     def by(factor: float) -> Analysis:
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
-        level, _, lag = measure_levels(bands, z, with_errors(bands, slice(None), fit, density), density, decay)
+        level, _, lag = measure_levels(fitted, decay)
         return replace(
             laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag)
         )

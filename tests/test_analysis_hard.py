@@ -11,9 +11,10 @@ import pytest
 
 import pianofit
 from pianofit.analysis import Analysis, analyse, law_frequency, note_to_hz
-from pianofit.analysis.demodulation import Bands
+from pianofit.analysis.baseband_fit import fit_bands
 from pianofit.analysis.inharmonicity import B_RANGE, frequency_law
-from pianofit.analysis.second_stroke import detect_second_stroke
+from pianofit.analysis.warnings import detect_second_stroke
+from pianofit.dsp.bands import Bands
 from pianofit.errors import AnalysisError, WrongNoteError
 from pianofit.recording.recording import recording_from_samples
 from pianofit.result.prediction import predict_recording
@@ -133,7 +134,7 @@ def test_a_noise_far_below_the_note_is_not_a_second_stroke(rises_to, again):
     level = np.where(time < 2, level, np.maximum(rises_to - 60.0 * (time - 2), -100.0))
     z = np.tile(10 ** (level / 20), (12, 1)).astype(complex)
     bands = Bands(z, time, 100.0 * np.arange(1, 13), 97.0, 0.05, 100.0, 50.0)
-    time_s = detect_second_stroke(bands, z, np.full(12, 1e-14))
+    time_s = detect_second_stroke(replace(fit_bands(bands, np.full(12, 1e-14)), z=z))
     assert time_s == (pytest.approx(2.0, abs=0.1) if again else None)
 
 

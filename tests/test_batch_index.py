@@ -24,8 +24,8 @@ from pianofit.batch.records import Entry, Store
 from pianofit.batch.traffic_lights import lights
 from pianofit.cli import main
 from pianofit.cli.batch import _line
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.io.files import encode_wav
-from pianofit.report.sound import k_weighted_mean_square
 
 RATE = 22_050
 

@@ -21,8 +21,8 @@ from report_cases import (
     response_content,
 )
 
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.report.page import report_bytes
-from pianofit.report.sound import k_weighted_mean_square
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"

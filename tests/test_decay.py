@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
+from pianofit.dsp.damped_sums import sum_damped_modes
 from pianofit.model.decay import EARLY, LATE, decays_and_beats
-from pianofit.model.modal_response import ModalResponse, sum_damped_modes
+from pianofit.model.modal_response import ModalResponse
 
 LOG = np.log(1e3)  # T60 is this multiple of 1/α
 

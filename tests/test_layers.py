@@ -25,7 +25,7 @@ USES = {
     "parameters": "io",
     "literature": "analysis parameters",
     "felt": "io literature parameters",
-    "recording": "io",
+    "recording": "dsp io",
     "setup": "felt io parameters",
     "analysis": "dsp io recording",
     "criterion": "analysis",

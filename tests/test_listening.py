@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from report_cases import Page
 
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.listening import page as listening_page
 from pianofit.listening.page import Question, write_listening
 from pianofit.listening.result import count_answers
-from pianofit.report.sound import k_weighted_mean_square
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"

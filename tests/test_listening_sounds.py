@@ -14,10 +14,10 @@ from bad_inputs import encoded, note
 
 from pianofit import load_recording
 from pianofit.cli import main
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.listening.artefact_checks import CHECKS, JUMP, failures
 from pianofit.listening.result import count_answers
 from pianofit.recording.recording import recording_from_samples
-from pianofit.report.sound import k_weighted_mean_square
 
 RATE = 22_050
 

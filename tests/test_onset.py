@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.analysis import analyse
+from pianofit.dsp.filters import LOWEST_HZ, without_drift
 from pianofit.errors import WrongNoteError
 from pianofit.recording import onset as module
-from pianofit.recording.onset import find_onset, find_sounds, without_drift
+from pianofit.recording.onset import find_onset, find_sounds
 from pianofit.recording.recording import load_recording, recording_from_samples
 
 RATE = 44_100
@@ -108,7 +109,7 @@ def test_a_slow_drift_does_not_move_the_onset(size, frequency, phase):
     drift = size * np.sin(2 * np.pi * frequency * np.arange(len(x)) / RATE + phase)
     recording = recording_from_samples(x + drift, RATE)
     assert abs(recording.onset - 13_230) <= 0.0005 * RATE
-    assert recording.noise_rms < 1.2e-4 + 1.5 * size * (frequency / module.LOWEST) ** 4
+    assert recording.noise_rms < 1.2e-4 + 1.5 * size * (frequency / LOWEST_HZ) ** 4
     assert not any("before the note" in warning for warning in recording.warnings)
 
 
@@ -137,7 +138,7 @@ def test_no_lowest_partial_counts_as_drift():
 
 def test_a_level_is_taken_over_at_least_a_period_of_the_lowest_key():
     assert module.PERIOD >= 1 / 27.5
-    assert module.LOWEST < 27.5
+    assert LOWEST_HZ < 27.5
 
 
 @needs_cases

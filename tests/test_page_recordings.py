@@ -27,10 +27,10 @@ from instrument_cases import (
 from page_cases import SCRIPTS, node, ringing_note
 
 from pianofit.cli import main
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.errors import FitError, ParameterError
 from pianofit.instrument import Instrument, load_instrument
 from pianofit.io.files import encode_wav
-from pianofit.report.sound import k_weighted_mean_square
 from pianofit.schema.instrument import FitSummary, Layer
 from pianofit.web import write_page
 from pianofit.web.recordings import recorded_layers

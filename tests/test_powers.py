@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.dsp.damped_powers import powers
+from pianofit.dsp.damped_sums import powers
 
 
 @given(st.integers(1, 5000), st.floats(-0.1, 0.001), st.floats(-3.2, 3.2))

@@ -34,6 +34,7 @@ from report_cases import (
 )
 from scipy.signal import lfilter
 
+from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.errors import OutputError
 from pianofit.io.files import replace_file
 from pianofit.io.number_format import number
@@ -51,7 +52,7 @@ from pianofit.report.modal_response import (
 )
 from pianofit.report.page import report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
-from pianofit.report.sound import k_weighted_mean_square, make_clips
+from pianofit.report.sound import make_clips
 from pianofit.report.text import STATUS, minima, recontact_text, rows
 from pianofit.schema.decode import encode_json
 from pianofit.schema.fit import Recontact

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pianofit.modal_response.bands import kernel_gain
+from pianofit.dsp.bands import hann_gain
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -39,7 +39,7 @@ def test_a_unison_sounds_as_its_modes_say(cents):
     about = bands(50)
     pole, amplitude = measure(np.array(cents), P, G)
     time = about.start[:, None] + about.step[:, None] * np.arange(50)
-    mode = kernel_gain(pole, about.kernel[:, None])[..., None] * np.exp(pole[..., None] * time[:, None])
+    mode = hann_gain(pole, about.kernel[:, None])[..., None] * np.exp(pole[..., None] * time[:, None])
     expected = (amplitude[..., None] * mode).sum(axis=1)
     np.testing.assert_allclose(
         shape(matrices(P, G, np.array([cents]), FREQUENCY), about), expected, atol=1e-5

@@ -1,10 +1,10 @@
-"""Shared conversions and constants: pitch in equal temperament, 95 % intervals, beating."""
+"""Shared conversions and constants: pitch in equal temperament, cents, decibels, 95 % intervals, beating."""
 
 from __future__ import annotations
 
 import math
 
-__all__ = ["BEATING_DB", "HALF_WIDTH_95", "HIGHEST_KEY", "LOWEST_KEY", "hertz_of", "midi_of"]
+__all__ = ["BEATING_DB", "CENTS", "DB", "HALF_WIDTH_95", "HIGHEST_KEY", "LOWEST_KEY", "hertz_of", "midi_of"]
 
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.
 HALF_WIDTH_95 = 1.959964
@@ -12,6 +12,9 @@ HALF_WIDTH_95 = 1.959964
 BEATING_DB = 1.5
 # MIDI numbers of the keys of a piano, A0 to C8.
 LOWEST_KEY, HIGHEST_KEY = 21, 108
+# Cents per unit of the natural logarithm of a frequency, and dB per unit of that of an amplitude.
+CENTS = 1200 / math.log(2)
+DB = 20 / math.log(10)
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

@@ -1,11 +1,10 @@
 """Measures a recorded note without a hammer model: partials, inharmonicity, losses and glide."""
 
-from .analyse import analyse, beating_warning, check_analyses, count_beating
-from .analysis_result import Analysis, Partials
+from .analyse import analyse, check_analyses
+from .analysis_result import COLUMNS, Analysis, Partials, analysis_to_dict, partial_rows
 from .inharmonicity import law_frequency
-from .level import energy_level
 from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, midi_to_note, nearest_note, note_to_hz, note_to_midi
-from .partials_text import COLUMNS, analysis_to_dict, partial_rows
+from .warnings import beating_warning, count_beating
 
 __all__ = [
     "COLUMNS",
@@ -18,7 +17,6 @@ __all__ = [
     "count_beating",
     "cents_above",
     "check_analyses",
-    "energy_level",
     "hz_to_note",
     "law_frequency",
     "midi_to_note",

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..conversions import BEATING_DB
+from ..conversions import CENTS
+from ..dsp.bands import kaiser_bands
 from ..errors import AnalysisError, WrongNoteError, check_type
 from ..recording.recording import Recording, Source, to_recording
 from .analysis_result import Analysis, Partials
-from .baseband_fit import first_fits, has_drifted
-from .demodulation import demodulate
-from .glide import LEAST_GLIDE, PitchGlide, glide_detected, glide_windows, remove_glide
-from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
-from .level import absent_level_bounds
-from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
-from .partials import LEAST_SNR, PartialTable, decay_law_covariance, measure_partials, systematic
-from .pitch import find_pitch, number_partials
-from .second_stroke import detect_second_stroke
+from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
+from .glide import PitchGlide, glide_detected, glide_windows, remove_glide
+from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
+from .note_names import hz_to_note, midi_to_note, note_to_midi
+from .numbering import number_partials
+from .partials import LEAST_SNR, measure_partials
+from .pitch import find_pitch
 from .spectrum import noise_between, spectrum
+from .warnings import analysis_warnings, detect_second_stroke
 
-__all__ = ["analyse", "beating_warning", "check_analyses", "count_beating"]
+__all__ = ["analyse", "check_analyses"]
 
-_SKIP = 0.005  # s after the onset; the contact has ended by then, or nearly
-_LONGEST = 20.0  # s after the onset; later samples add no information
 _TOP = 12000.0  # Hz, highest frequency searched for partials
-_WIDEST = 100.0  # Hz; a larger bandwidth adds no information about a partial that decays slowly
-_WORST_LEVEL = 10.0  # dB; a partial whose level has a larger error is rejected
-_LEAST_DECAY = 1e-3  # 1/s, lower bound of reported decay rates
-# A peak farther than both from the frequency that its neighbours predict is not a partial.
-_OUTLIER = 6.0  # standard deviations
-_OUTLIER_CENTS = 12.0
 
 
 def analyse(recording: Source, *, note: str | int | None = None, f0: float | None = None) -> Analysis:
@@ -66,7 +59,7 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     """
     recording = to_recording(recording)
     rate = recording.rate
-    samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
+    samples = np.asarray(recording.samples, float)[recording.onset :][: 20 * rate]  # the end adds no information
     seconds = len(samples) / rate
     top = min(0.45 * rate, _TOP)
     try:
@@ -115,188 +108,105 @@ def _measure_all(
     top: float,
 ) -> Analysis:
     """Measure the partials `number` at `frequency` (Hz) [partials] near the rough `law`, and fit the laws."""
-    rate, seconds = recording.rate, len(samples) / recording.rate
-    spacing = min(0.97 * law.f0, max(_WIDEST, 0.1 * law.f0))
-    skip = min(_SKIP, 0.05 * seconds)
-    bands = demodulate(samples, rate, frequency, spacing, skip)
-    z, fit = first_fits(bands)
-    expected = _expected_frequencies(law, number, frequency, np.arange(1, int(number.max()) + 6))
-    density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
-    density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
-    windows = glide_windows(bands, z, fit, density)
+    skip = min(0.005, 0.05 * (len(samples) / recording.rate))  # s; the contact has ended by then, or nearly
+    fitted = _fit_all(samples, recording.rate, skip, number, frequency, law)
+    windows = glide_windows(fitted)
     glides = glide_detected(windows)
     # A single partial in a late window follows the glide only if a glide was detected. Otherwise it follows its beats.
     usable = windows if glides else [window for window in windows if np.isfinite(window[3])]
     glide_cents = float(usable[0][2] - usable[-1][2]) if len(usable) > 1 else 0.0
     removed, glide_error = PitchGlide(0.0, 1.0), 0.0
     if glides:
-        bands, z, fit, removed, glide_error = remove_glide(bands, z, fit, density, windows)
-    measured = measure_partials(number, bands, z, fit, density, glides)
-    keep = _plausible(measured, _expected_frequencies(law, number, frequency, number), law.f0)
-    keep &= ~has_drifted(bands, fit)
-    keep[keep] = _near_law(number[keep], measured.frequency[keep], measured.total_error("frequency")[keep])
+        fitted, removed, glide_error = remove_glide(fitted, windows)
+    table, level_law = measure_partials(number, fitted, glides)
+    keep = _plausible(table, _expected_frequencies(law, number, frequency, number), law.f0) & ~fitted.drifted
+    keep[keep] = _near_law(number[keep], table.frequency[keep], table.total_error("frequency")[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz was detected above the noise")
     if not keep.all():  # a rejected peak must not contribute to the errors of its neighbours
-        number, density = number[keep], density[keep]
-        measured = measure_partials(number, bands.select(keep), z[keep], fit.select(keep), density, glides)
-    second_stroke_s = detect_second_stroke(bands.select(keep), z[keep], density)
-    refined, losses = _laws(number, measured, law.B)
-    absent = _absent(number, refined, top)
-    absent_frequency = _expected_frequencies(refined, number, measured.frequency, absent)
-    bound = absent_level_bounds(samples, rate, absent_frequency, losses(absent), refined.f0, skip)
-    table = _table(number, measured, absent, bound)
-    glide_table = tuple((a, b, refined.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
+        fitted = fitted.select(keep)
+        table, level_law = measure_partials(number[keep], fitted, glides)
+    refined, losses = _laws(table, law.B)
+    absent = _absent(table.number, refined, top)
+    absent_frequency = _expected_frequencies(refined, table.number, table.frequency, absent)
+    bound = absent_level_bounds(samples, recording.rate, absent_frequency, losses(absent), refined.f0, skip)
+    table = replace(table, absent=absent, absent_bound=bound)
+    significant_cents = glide_cents if glides else 0.0
     return Analysis(
-        refined.f0,
-        refined.f0_error,
-        refined.B,
-        refined.B_error,
-        losses.b1,
-        losses.b1_error,
-        losses.d2,
-        losses.d2_error,
-        table,
-        refined.scatter,
-        losses.scatter,
-        glide_cents,
-        glide_table,
-        density,
-        None if note is None else midi_to_note(note_to_midi(note)),
-        (
-            *_wrong_note_message(note, refined.f0),
-            *_bound_warning(refined),
-            *_warnings(table, losses, glide_cents if glides else 0.0, second_stroke_s),
-        ),
-        glide_error,
-        *removed,
-        (measured.level_law.b1, measured.level_law.d2),
+        f0=refined.f0,
+        f0_error=refined.f0_error,
+        B=refined.B,
+        B_error=refined.B_error,
+        b1=losses.b1,
+        b1_error=losses.b1_error,
+        d2=losses.d2,
+        d2_error=losses.d2_error,
+        partials=table,
+        scatter_cents=refined.scatter,
+        scatter_decay=losses.scatter,
+        glide_cents=glide_cents,
+        glide=tuple((a, b, refined.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows),
+        noise_density=fitted.density,
+        note=None if note is None else midi_to_note(note_to_midi(note)),
+        warnings=analysis_warnings(note, refined, losses, table, significant_cents, detect_second_stroke(fitted)),
+        glide_error=glide_error,
+        glide_start=removed.start_cents,
+        glide_tau=removed.tau,
+        level_law=(level_law.b1, level_law.d2),
     )
 
 
-def _laws(number: np.ndarray, measured: PartialTable, B: float) -> tuple[FrequencyLaw, DecayLaw]:
+def _fit_all(
+    samples: np.ndarray, rate: int, skip: float, number: np.ndarray, frequency: np.ndarray, law: FrequencyLaw
+) -> FittedBands:
+    """Fit one exponential to each partial, and measure the noise between the partials."""
+    # A bandwidth above 100 Hz adds no information about a partial that decays slowly.
+    spacing = min(0.97 * law.f0, max(100.0, 0.1 * law.f0))
+    bands = kaiser_bands(samples, rate, frequency, spacing, skip)
+    expected = _expected_frequencies(law, number, frequency, np.arange(1, int(number.max()) + 6))
+    density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * (len(samples) / rate)))
+    fitted = fit_bands(bands, density)
+    return replace(fitted, density=np.maximum(density, 1e-20 * float(np.max(np.abs(fitted.z))) ** 2))
+
+
+def _laws(table: Partials, B: float) -> tuple[FrequencyLaw, DecayLaw]:
     """Frequency law and decay law of the string. A single partial is fitted with this `B`."""
-    fixed_B = B if len(number) < 2 else None
-    error = measured.total_error("frequency")
+    fixed_B = B if len(table) < 2 else None
     return (
-        frequency_law(number, measured.frequency, error, B=fixed_B),
-        decay_law(number, np.maximum(measured.decay, _LEAST_DECAY), measured.total_error("decay")),
+        frequency_law(table.number, table.frequency, table.total_error("frequency"), B=fixed_B),
+        decay_law(table.number, table.decay, table.total_error("decay")),
     )
 
 
 def _expected_frequencies(law: FrequencyLaw, number: np.ndarray, frequency: np.ndarray, k: np.ndarray) -> np.ndarray:
     """Expected frequencies of partials `k`, Hz: the law plus the deviation of detected neighbours."""
-    return law(k) * np.exp(local_deviation(number, CENTS * np.log(frequency / law(number)), k) / CENTS)
+    return law(k) * np.exp(local_deviation(number, law.deviation(number, frequency), k) / CENTS)
 
 
-def _plausible(measured: PartialTable, expected: np.ndarray, f0: float) -> np.ndarray:
+def _plausible(table: Partials, expected: np.ndarray, f0: float) -> np.ndarray:
     """Partials above the noise whose values are determined, bool [partials]."""
-    near = np.abs(measured.frequency - expected) < 0.25 * f0
-    determined = (measured.level_error < _WORST_LEVEL) & (measured.total_error("frequency") < 0.1 * f0)
-    return (measured.snr > LEAST_SNR) & near & determined & (measured.decay < 300.0)
+    near = np.abs(table.frequency - expected) < 0.25 * f0
+    determined = (table.level_error < 10.0) & (table.total_error("frequency") < 0.1 * f0)
+    return (table.snr > LEAST_SNR) & near & determined & (table.decay < 300.0)
 
 
 def _near_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Partials near the law of the majority, or as far from it as their neighbours, bool [partials]."""
+    """Partials near the law of the majority, or as far from it as their neighbours, bool [partials].
+
+    A peak farther than 12 cents and six standard deviations from the frequency that its neighbours predict is not a
+    partial.
+    """
     if len(k) < 4:
         return np.ones(len(k), bool)
     law = frequency_law(k, frequency, error)
-    deviation = CENTS * np.log(frequency / law(k))
+    deviation = law.deviation(k, frequency)
     others = ~np.eye(len(k), dtype=bool)
     expected = np.concatenate([local_deviation(k[o], deviation[o], k[[i]]) for i, o in enumerate(others)])
     sd = np.hypot(law.deviation_sd(k), CENTS * error / frequency)
-    return np.abs(deviation - expected) < np.maximum(_OUTLIER * sd, _OUTLIER_CENTS)
+    return np.abs(deviation - expected) < np.maximum(6.0 * sd, 12.0)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
     """Numbers of the partials below `top` Hz that are not in `number`."""
     candidates = np.arange(1, max(int(number.max()), int(top / law.f0)) + 1)
     return np.setdiff1d(candidates[law(candidates) < top], number)
-
-
-def _table(number: np.ndarray, measured: PartialTable, absent: np.ndarray, bound: np.ndarray) -> Partials:
-    return Partials(
-        number=number,
-        frequency=measured.frequency,
-        frequency_error=measured.frequency_error,
-        frequency_systematic=systematic(number, measured.frequency_systematic_sd),
-        decay=np.maximum(measured.decay, _LEAST_DECAY),
-        decay_error=measured.decay_error,
-        decay_systematic=systematic(number, measured.decay_systematic_sd),
-        level=measured.level,
-        level_error=measured.level_error,
-        level_systematic=systematic(number, measured.level_systematic_sd)
-        + decay_law_covariance(number, measured.level_decay_sensitivity_s, measured.level_law),
-        level_decay_sensitivity_s=measured.level_decay_sensitivity_s,
-        snr=measured.snr,
-        beating=measured.beating,
-        absent=absent,
-        absent_bound=bound,
-    )
-
-
-def _wrong_note_message(note: str | int | None, f0: float) -> tuple[str, ...]:
-    """The warning of a recording whose pitch lies nearer to another key than to the given note."""
-    cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
-    if abs(cents) <= 50:
-        return ()
-    name, side = midi_to_note(note_to_midi(str(note))), "above" if cents > 0 else "below"
-    return (
-        f"the pitch lies {abs(cents):.0f} cents {side} {name}, nearer to {hz_to_note(f0)}: check the note's name, or "
-        "how the instrument is tuned",
-    )
-
-
-def _bound_warning(law: FrequencyLaw) -> tuple[str, ...]:
-    """The warning of a B at either end of the searched range."""
-    if not np.isfinite(law.B_error) or law.B not in B_RANGE:
-        return ()
-    if B_RANGE[0] == law.B:
-        return (
-            f"B is at its lower bound, {law.B:g}: the partials are harmonic, and those of a stiff string are not; "
-            "check that the recording holds one string without effects",
-        )
-    return (f"B is at its upper bound, {law.B:g}: check the note (--note), and that the partials belong to one string",)
-
-
-def _warnings(table: Partials, losses: DecayLaw, glide_cents: float, second_stroke_s: float | None) -> tuple[str, ...]:
-    warnings = []
-    if second_stroke_s is not None:
-        warnings.append(
-            f"most partials rise again about {second_stroke_s:.2f} s after the onset: a second stroke changes the "
-            "results; give a file of one stroke"
-        )
-    if len(table) == 1:
-        warnings.append("only one partial detected: B is assumed, f0 depends on it, the losses are poorly determined")
-    elif len(table) == 2:
-        warnings.append("only 2 partials detected: B and the losses are poorly determined")
-    if np.mean(table.decay <= _LEAST_DECAY) > 0.5:
-        warnings.append(
-            "most partials do not decay, so their decay rates are at the lower bound: a looped, reversed or compressed "
-            "sound does not determine the losses"
-        )
-    if abs(glide_cents) > LEAST_GLIDE:
-        warnings.append(
-            f"the pitch {'falls' if glide_cents > 0 else 'rises'} by {abs(glide_cents):.1f} cents as the note decays"
-        )
-    if beats := beating_warning(table):
-        warnings.append(beats)
-    if losses.d2 < 2 * losses.d2_error and len(table) > 1:
-        warnings.append("the decay rates do not determine how losses rise with frequency (d2 is not measurable)")
-    return tuple(warnings)
-
-
-def count_beating(table: Partials) -> int:
-    """Number of partials whose log envelope deviates from one exponential by more than `BEAT` dB."""
-    return int(np.sum(table.beating > BEATING_DB))
-
-
-def beating_warning(table: Partials) -> str:
-    """The warning of a recording whose partials beat; empty if none do."""
-    deep = count_beating(table)
-    if not deep:
-        return ""
-    return (
-        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEATING_DB:g} dB: several "
-        "strings or polarisations beat, or the note was damped or cut"
-    )

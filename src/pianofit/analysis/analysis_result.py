@@ -1,24 +1,58 @@
-"""The result of an analysis: plain numbers with their standard errors."""
+"""The result of an analysis: plain numbers with their standard errors, also as JSON and as rows of a printed table."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..conversions import CENTS, DB
 from ..io.number_format import counted
 from ..io.table_output import data_frame, html_table
 from .glide import PitchGlide
+from .inharmonicity import law_frequency
 
-__all__ = ["Analysis", "Partials"]
+__all__ = ["COLUMNS", "Analysis", "Column", "Partials", "analysis_to_dict", "partial_rows"]
 
 # Columns of `Partials` with one number for each partial, and their headings in a notebook.
 PER_PARTIAL = {
-    "number": "k", "frequency": "frequency, Hz", "frequency_error": "± noise", "decay": "decay, 1/s",
-    "decay_error": "± noise", "level": "level, dB", "level_error": "± noise", "snr": "SNR, dB",
+    "number": "k",
+    "frequency": "frequency, Hz",
+    "frequency_error": "± noise",
+    "decay": "decay, 1/s",
+    "decay_error": "± noise",
+    "level": "level, dB",
+    "level_error": "± noise",
+    "snr": "SNR, dB",
     "beating": "beating, dB",
-}  # fmt: skip
+}
+
+
+class Column(NamedTuple):
+    """One column of the printed table."""
+
+    name: str
+    unit: str
+    digits: int  # after the point; fewer if the standard error supports fewer
+    width: int  # characters
+    error: bool = False  # True for the standard error of the preceding column
+
+
+COLUMNS = (
+    Column("k", "", 0, 4),
+    Column("frequency", "Hz", 3, 14),
+    Column("±", "Hz", 3, 9, error=True),
+    Column("from law", "cents", 2, 15),
+    Column("decay", "1/s", 3, 11),
+    Column("±", "1/s", 3, 8, error=True),
+    Column("level", "dB", 2, 10),
+    Column("±", "dB", 2, 7, error=True),
+    Column("SNR", "dB", 1, 8),
+    Column("beating", "dB", 2, 12),
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +88,10 @@ class Partials:
     def __repr__(self) -> str:
         span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
         return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} not detected"
+
+    def total_error(self, column: str) -> np.ndarray:
+        """Total standard deviation of "frequency", "decay" or "level": noise and systematic error [partials]."""
+        return np.hypot(getattr(self, f"{column}_error"), np.sqrt(np.diag(getattr(self, f"{column}_systematic"))))
 
     def _rows(self) -> list[tuple]:
         return list(zip(*(getattr(self, name).tolist() for name in PER_PARTIAL), strict=True))
@@ -105,7 +143,7 @@ class Analysis:
         p, q = self.partials, other.partials
         lag = 0.5 * (p.level_decay_sensitivity_s + np.interp(p.number, q.number, q.level_decay_sensitivity_s))
         b1, d2 = np.subtract(other.level_law, self.level_law)
-        level = p.level + 20 / np.log(10) * lag * (b1 + d2 * p.number**2.0)
+        level = p.level + DB * lag * (b1 + d2 * p.number**2.0)
         return replace(self, partials=replace(p, level=level), level_law=other.level_law)
 
     @property
@@ -121,10 +159,42 @@ class Analysis:
         )
 
     def _repr_html_(self) -> str:
-        laws = [("f0", self.f0, self.f0_error, "Hz"), ("B", self.B, self.B_error, "1"),
-                ("b1", self.b1, self.b1_error, "1/s"), ("d2", self.d2, self.d2_error, "1/s")]  # fmt: skip
+        units = {"f0": "Hz", "B": "1", "b1": "1/s", "d2": "1/s"}
+        laws = [(name, getattr(self, name), getattr(self, f"{name}_error"), unit) for name, unit in units.items()]
         return html_table(("", "value", "±", "unit"), laws, self.note or "") + self.partials._repr_html_()
 
     def to_dataframe(self) -> Any:
         """The partials, as from `Partials.to_dataframe`."""
         return self.partials.to_dataframe()
+
+
+def analysis_to_dict(analysis: Analysis) -> dict[str, Any]:
+    """JSON-ready copy. Values that are not finite (unbounded errors) become None.
+
+    Systematic covariances are replaced by standard deviations [partials], in Hz, 1/s and dB: `frequency_systematic`,
+    `decay_systematic` and `level_systematic`.
+    """
+    data = {"schema": 1, **dataclasses.asdict(analysis)}
+    for name in ("frequency_systematic", "decay_systematic", "level_systematic"):
+        data["partials"][name] = np.sqrt(np.diag(data["partials"][name]))
+    return _plain(data)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | tuple | list):
+        return [_plain(item) for item in (value.tolist() if isinstance(value, np.ndarray) else value)]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def partial_rows(analysis: Analysis) -> list[tuple[float, ...]]:
+    """One tuple per partial, in the order of `COLUMNS`. Standard errors include noise and systematic errors."""
+    table = analysis.partials
+    cents = CENTS * np.log(table.frequency / law_frequency(analysis.f0, analysis.B, table.number))
+    error = table.total_error
+    columns = [table.number, table.frequency, error("frequency"), cents, table.decay, error("decay")]
+    columns += [table.level, error("level"), table.snr, table.beating]
+    return [tuple(float(x) for x in row) for row in zip(*columns, strict=True)]

@@ -13,25 +13,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .baseband_fit import first_fits, has_drifted
-from .demodulation import Bands
-from .exponential_fit import Exponentials, fit_exponentials
-from .inharmonicity import CENTS
+from ..conversions import CENTS
+from ..dsp.bands import Bands
+from ..dsp.exponential_fit import Exponentials, fit_exponentials
+from .baseband_fit import FittedBands, fit_bands, has_drifted
 
 __all__ = ["LEAST_GLIDE", "PitchGlide", "glide_detected", "glide_windows", "remove_glide"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # index of the window that defines f0
-_ROUNDS = 8
-_TAU = (0.05, 5.0)  # s, range of time constants of a glide
-_USUAL_TAU = 0.5  # s, used if only one window other than the reference has a pitch
 # A glide is detected if the pitch changes by more than both.
 _SIGNIFICANT = 4.0  # standard errors
 LEAST_GLIDE = 0.1  # cents
 # Relative error of a glide. One window does not determine τ. With more, the weighting within a window limits it.
 _ERROR_ONE_WINDOW = 0.3
 _ERROR_SEVERAL_WINDOWS = 0.01
-_LOUD = 30.0  # least power of a partial in a window, over the noise power of a frame
+
+Window = tuple[float, float, float, float]  # start s, stop s, cents, standard error in cents
 
 
 class PitchGlide(NamedTuple):
@@ -51,74 +49,67 @@ class PitchGlide(NamedTuple):
         return self.start_cents / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
 
 
-def glide_windows(
-    bands: Bands, z: NDArray[np.complex128], fit: Exponentials, density: np.ndarray
-) -> list[tuple[float, float, float, float]]:
-    """Pitch of each window relative to 0.2 to 1.0 s: rows (start s, stop s, cents, standard error in cents).
+def glide_windows(fitted: FittedBands) -> list[Window]:
+    """Pitch of each window relative to 0.2 to 1.0 s.
 
     The pitch is the median change of frequency over partials, because beats change each partial differently, and a
     glide changes all equally.
     """
-    frame = density / 2 * bands.noise_width
+    bands = fitted.bands
     end = float(bands.time[-1])
     shift, spans = [], []
     for start, stop in _WINDOWS:
         frames = bands.frames_within(start, stop - bands.window / 2 if start == 0 else stop, least=1)
         t = bands.time[frames]
         if len(t) < 6 or (start > 0 and end < start + 0.5 * (min(stop, start + 1) - start)):
-            shift.append(np.full(len(z), np.nan))
+            shift.append(np.full(len(fitted.z), np.nan))
         else:
-            local = fit_exponentials(z[:, frames], t, fit.pole, steps=6)
-            relative = np.clip(local.pole.imag / (2 * np.pi * bands.centre), -0.1, 0.1)
-            cents = CENTS * np.log1p(relative)
-            shift.append(np.where((local.power > _LOUD * frame) & ~has_drifted(bands, local), cents, np.nan))
+            local = fit_exponentials(fitted.z[:, frames], t, fitted.fit.pole, steps=6)
+            cents = CENTS * np.log1p(np.clip(local.pole.imag / (2 * np.pi * bands.centre), -0.1, 0.1))
+            usable = (local.power > 30.0 * fitted.frame_noise) & ~has_drifted(bands, local)
+            shift.append(np.where(usable, cents, np.nan))
         spans.append((start, float(min(stop, end + bands.window / 2))))
     rows = []
-    for (start, stop), row in zip(spans, shift, strict=True):
+    for span, row in zip(spans, shift, strict=True):
         moved = row - shift[_REFERENCE]
         moved = moved[np.isfinite(moved)]
         if len(moved):
             middle = float(np.median(moved))
             spread = 1.4826 * float(np.median(np.abs(moved - middle))) * 1.25 / np.sqrt(len(moved))
-            rows.append((start, stop, middle, spread if len(moved) > 2 else np.inf))
+            rows.append((*span, middle, spread if len(moved) > 2 else np.inf))
     return rows
 
 
-def glide_detected(windows: list[tuple[float, float, float, float]]) -> bool:
+def glide_detected(windows: list[Window]) -> bool:
     """True if the pitch of any window differs significantly from that of the reference window."""
     return any(abs(cents) > max(_SIGNIFICANT * error, LEAST_GLIDE) for _, _, cents, error in windows)
 
 
-def remove_glide(
-    bands: Bands, z: NDArray[np.complex128], fit: Exponentials, density: np.ndarray,
-    windows: list[tuple[float, float, float, float]],
-) -> tuple[Bands, NDArray[np.complex128], Exponentials, PitchGlide, float]:  # fmt: skip
-    """The bands without the glide, their cleaned z and first fits, the glide, and its error in cents.
+def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBands, PitchGlide, float]:
+    """The bands without the glide, the glide, and its error in cents.
 
     The mean pitch over the reference window does not change. The remaining glide is measured and removed again as long
     as it becomes smaller.
 
     Parameters
     ----------
-    z, fit : cleaned basebands and first fits of `bands`
     windows : from `glide_windows`; windows without a standard error are not used
     """
     windows = [row for row in windows if np.isfinite(row[3])]
-    spans = [row[:2] for row in windows]
+    spans, bands = [row[:2] for row in windows], fitted.bands
     total = np.array([row[2] for row in windows])
-    error, best, best_fits = float(np.abs(total).max()), bands, (z, fit)
-    for _ in range(_ROUNDS):
-        straight = replace(bands, z=bands.z * _compensation(bands, fit, _fit_glide(spans, total)))
-        z, fit = first_fits(straight)
-        remaining = {row[:2]: row[2] for row in glide_windows(straight, z, fit, density)}
+    error, best = float(np.abs(total).max()), fitted
+    for _ in range(8):
+        straight = replace(bands, z=bands.z * _compensation(bands, fitted.fit, _fit_glide(spans, total)))
+        fitted = fit_bands(straight, fitted.density)
+        remaining = {row[:2]: row[2] for row in glide_windows(fitted)}
         cents = np.array([remaining.get(span, 0.0) for span in spans])
         if np.abs(cents).max() >= error:
             break
-        best, best_fits = straight, (z, fit)
-        error, total = float(np.abs(cents).max()), total + cents
+        best, error, total = fitted, float(np.abs(cents).max()), total + cents
     size = max(abs(row[2]) for row in windows)
     error = max(error, (_ERROR_ONE_WINDOW if len(windows) == 2 else _ERROR_SEVERAL_WINDOWS) * size)
-    return best, *best_fits, _fit_glide(spans, total), error
+    return best, _fit_glide(spans, total), error
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
@@ -129,12 +120,12 @@ def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
 
 def _fit_glide(spans: list[tuple[float, float]], cents: np.ndarray) -> PitchGlide:
     """The glide that changes the pitch of the windows by `cents` relative to the reference window."""
-    tau = np.geomspace(*_TAU, 1000)
+    tau = np.geomspace(0.05, 5.0, 1000)  # s
     moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
     size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
     misfit = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
-    # One window next to the reference is consistent with any τ. The small penalty then selects a usual one.
-    best = int(np.argmin(misfit + 1e-4 * np.log(tau / _USUAL_TAU) ** 2))
+    # One window next to the reference is consistent with any τ. The small penalty then selects a usual one, 0.5 s.
+    best = int(np.argmin(misfit + 1e-4 * np.log(tau / 0.5) ** 2))
     return PitchGlide(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
 
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["B_RANGE", "CENTS", "DecayLaw", "FrequencyLaw", "local_deviation", "decay_law", "frequency_law"]
+from ..conversions import CENTS
 
-CENTS = 1200 / np.log(2)  # cents per unit of log frequency
+__all__ = ["B_RANGE", "DecayLaw", "FrequencyLaw", "decay_law", "frequency_law", "law_frequency", "local_deviation"]
+
 B_RANGE = (1e-6, 2e-2)  # searched range of B; piano strings have 5e-5 to 2e-2
-_HUBER = 1.5  # standard deviations, where the weights begin to fall
 # From about this partial on, real strings deviate from the law by cents, growing as the cube of the number.
 LAST_TRUSTED_PARTIAL = 10.0
 # Partials that predict the deviation of the next one: fewer are sensitive to beats, more do not follow the curve.
@@ -39,6 +39,10 @@ class FrequencyLaw:
     def __call__(self, k: np.ndarray | float) -> np.ndarray:
         """Frequencies of partials `k`, Hz."""
         return law_frequency(self.f0, self.B, k)
+
+    def deviation(self, k: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """Deviation of partials `k` with this `frequency`, Hz, from the law, cents."""
+        return CENTS * np.log(frequency / self(k))
 
     def deviation_sd(self, k: np.ndarray) -> np.ndarray:
         """Standard deviation of partials `k` from the law beyond their noise, cents."""
@@ -102,7 +106,8 @@ def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
 
 
 def _huber(standardised: np.ndarray) -> np.ndarray:
-    return np.minimum(1.0, _HUBER / np.maximum(np.abs(standardised), 1e-12))
+    """Huber's weights, which fall beyond 1.5 standard deviations."""
+    return np.minimum(1.0, 1.5 / np.maximum(np.abs(standardised), 1e-12))
 
 
 def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -118,8 +123,8 @@ def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, 
 def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None) -> FrequencyLaw:
     """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
 
-    Beyond `TRUSTED` the error of the law grows as the cube of the number, because windings and the shear of a stiff
-    string make real partials deviate from it.
+    Beyond `LAST_TRUSTED_PARTIAL` the error of the law grows as the cube of the number, because windings and the shear
+    of a stiff string make real partials deviate from it.
 
     Parameters
     ----------

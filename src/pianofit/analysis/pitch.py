@@ -1,8 +1,7 @@
-"""Pitch and partial numbers: the comb of a stiff string is matched to the peaks of a spectrum.
+"""Pitch: the comb of a stiff string is matched to the peaks of a spectrum.
 
 A comb k f0 √(1 + B k²) is good if its teeth lie at peaks *and* the peaks lie at teeth. The first criterion alone would
-select twice the pitch, the second alone half of it. The score is their product. The partials near the best comb are
-then collected from low to high numbers, and the law is refitted at each stage.
+select twice the pitch, the second alone half of it. The score is their product.
 """
 
 from __future__ import annotations
@@ -12,24 +11,19 @@ from numbers import Real
 import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError, check_type
-from .distortion import MIN_HEIGHT, TREBLE_PARTIALS, exclude_distortion
-from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, frequency_law, local_deviation
+from .inharmonicity import B_RANGE, law_frequency
 from .note_names import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
-__all__ = ["check_pitch", "find_pitch", "number_partials", "typical_B"]
+__all__ = ["CLEAR", "check_pitch", "find_pitch", "typical_B"]
 
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
-_TEETH = 16
+_TEETH = np.arange(1, 17)  # numbers of the partials of a comb
 _FULL_EVIDENCE = 30.0  # dB above the floor, above which the evidence of a peak does not grow
 _TOLERANCE = 0.04  # spacings of a comb's teeth, within which a peak belongs to a tooth
-_EVIDENT = 3  # in a recorded note at least one in so many teeth is a clear peak
-_STAGES = (_TEETH, 20, 27, 36, 48, 64, 82, 100)  # numbers up to which partials are collected
-_CLEAR = 10.0  # dB above the floor, of a peak that predicts the frequencies of the next ones
+CLEAR = 10.0  # dB above the floor, of a peak that is hardly noise
 _FAINT = 0.05  # score of a given note, below which it is too faint
 _RIVAL = 1.4  # factor by which the score of another pitch must be larger to reject a given note
-
-_Numbering = tuple[float, np.ndarray, np.ndarray, FrequencyLaw]  # merit, k [partials], Hz [partials], law
 
 
 def typical_B(f0: np.ndarray | float) -> np.ndarray:
@@ -40,12 +34,6 @@ def typical_B(f0: np.ndarray | float) -> np.ndarray:
     """
     octave = np.log2(np.asarray(f0, float) / 100.0)
     return 1.5e-4 * np.where(octave < 0, 2.0 ** (-0.6 * octave), 2.0 ** (1.2 * octave))
-
-
-def _comb(f0: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Teeth [candidates, teeth] in Hz."""
-    k = np.arange(1, _TEETH + 1)
-    return k * f0[:, None] * np.sqrt(1 + B[:, None] * k**2)
 
 
 def _comb_score(comb: np.ndarray, spec: Spectrum, tolerance: np.ndarray | float, top: float) -> np.ndarray:
@@ -59,21 +47,20 @@ def _comb_score(comb: np.ndarray, spec: Spectrum, tolerance: np.ndarray | float,
     nearest = np.where(comb - left < right - comb, place - 1, place)
     evidence = np.minimum(spec.height / _FULL_EVIDENCE, 1.0)[nearest]
     value = evidence * np.maximum(1 - np.abs(spec.peak[nearest] - comb) / tolerance, 0.0)
-    weight = (comb < top) / np.sqrt(np.arange(1, comb.shape[1] + 1))
+    weight = (comb < top) / np.sqrt(_TEETH)
     return np.sum(weight * value, 1) / np.maximum(np.sum(weight, 1), 1e-9)
 
 
-def _explained(comb: np.ndarray, spec: Spectrum, tolerance: float, top: float) -> float:
+def _explained(comb: np.ndarray, spec: Spectrum, top: float) -> float:
     """Match of peaks to teeth: weighted share of the peaks below the last tooth that lie near a tooth.
 
-    Near means within `tolerance` times the first tooth. The weight of a peak is its strength above 50 dB below the
-    strongest peak, reduced near the floor, so that rumble and noise do not dominate.
+    The weight of a peak is its strength above 50 dB below the strongest peak, reduced near the floor, so that rumble
+    and noise do not dominate.
     """
     below = spec.peak < min(top, comb[-1] + comb[0] / 2)
-    peak = spec.peak[below]
     weight = np.maximum(spec.strength[below] - (np.max(spec.strength) - 50.0), 0.0)
     weight = weight * np.minimum(spec.height[below] / _FULL_EVIDENCE, 1.0)
-    near = np.min(np.abs(peak[:, None] - comb), axis=1, initial=np.inf) < tolerance * comb[0]
+    near = np.min(np.abs(spec.peak[below][:, None] - comb), axis=1, initial=np.inf) < _TOLERANCE * comb[0]
     return float(np.sum(weight * near) / max(np.sum(weight), 1e-9))
 
 
@@ -82,14 +69,12 @@ def _candidates(spec: Spectrum, low: float, high: float, top: float) -> np.ndarr
     f0 = low * 2.0 ** (np.arange(0, np.log2(high / low) * 1200 + 1, 6) / 1200)
     score = np.zeros(len(f0))
     for factor in 2.0 ** np.arange(-2, 3.1, 0.5):
-        score = np.maximum(score, _comb_score(_comb(f0, factor * typical_B(f0)), spec, 0.08 * f0[:, None], top))
+        comb = law_frequency(f0[:, None], (factor * typical_B(f0))[:, None], _TEETH)
+        score = np.maximum(score, _comb_score(comb, spec, 0.08 * f0[:, None], top))
     is_maximum = np.concatenate([[True], score[1:] > score[:-1]]) & np.concatenate([score[:-1] >= score[1:], [True]])
     group = np.round(2 * np.log2(f0 / low)).astype(int)
-    chosen: list[int] = []
-    for g in np.unique(group):
-        peaks = np.flatnonzero(is_maximum & (group == g))
-        chosen.extend(peaks[np.argsort(score[peaks])[::-1][:6]])
-    return f0[chosen]
+    peaks = [np.flatnonzero(is_maximum & (group == g)) for g in np.unique(group)]
+    return f0[np.concatenate([own[np.argsort(score[own])[::-1][:6]] for own in peaks])]
 
 
 def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, float, float]:
@@ -98,27 +83,24 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
     if len(spec.peak) < 2:
         return best
     for rough in _candidates(spec, low, high, top):
-        f, b = np.meshgrid(
-            rough * (1 + np.linspace(-0.012, 0.012, 17)),
-            typical_B(rough) * 2.0 ** np.arange(-3, 3.1, 0.3),
-            indexing="ij",
-        )
-        comb = _comb(f.ravel(), np.clip(b.ravel(), *B_RANGE))
+        near = rough * (1 + np.linspace(-0.012, 0.012, 17)), typical_B(rough) * 2.0 ** np.arange(-3, 3.1, 0.3)
+        f0, B = (x.ravel() for x in np.meshgrid(*near, indexing="ij"))
+        comb = law_frequency(f0[:, None], np.clip(B, *B_RANGE)[:, None], _TEETH)
         scores = _comb_score(comb, spec, 0.03 * rough, top)
         i = int(np.argmax(scores))
-        score = float(scores[i]) * _explained(comb[i], spec, _TOLERANCE, top)
+        score = float(scores[i]) * _explained(comb[i], spec, top)
         if score > best[0]:
-            best = (score, float(f.flat[i]), float(b.flat[i]))
+            best = (score, float(f0[i]), float(B[i]))
     return best
 
 
 def _evident(spec: Spectrum, f0: float, B: float, top: float) -> bool:
-    """True if enough teeth of a comb are peaks above the noise; a single peak can be any sound."""
-    comb = _comb(np.array([f0]), np.array([B]))[0]
+    """True if at least one in three teeth of a comb is a peak above the noise; a single peak can be any sound."""
+    comb = law_frequency(f0, B, _TEETH)
     comb = comb[comb < top]
-    clear = spec.peak[spec.height > _CLEAR]
+    clear = spec.peak[spec.height > CLEAR]
     matched = np.abs(comb[:, None] - clear).min(axis=1, initial=np.inf) < _TOLERANCE * f0
-    return int(matched.sum()) >= max(2, len(comb) / _EVIDENT)
+    return int(matched.sum()) >= max(2, len(comb) / 3)
 
 
 def check_pitch(frequency: float, name: str) -> None:
@@ -143,9 +125,8 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | int | None, f0: float 
         check_pitch(requested, name)
     free = _best(spec, LOWEST, HIGHEST, top)
     if requested is None:
-        strongest_fits = (
-            len(spec.peak) > 0 and abs(spec.peak[np.argmax(spec.strength)] - free[1]) < _TOLERANCE * free[1]
-        )
+        strongest = spec.peak[[np.argmax(spec.strength)]] if len(spec.peak) else spec.peak
+        strongest_fits = (np.abs(strongest - free[1]) < _TOLERANCE * free[1]).any()
         if free[0] < 0.08 or not (strongest_fits or _evident(spec, *free[1:], top)):
             raise WrongNoteError("no pitch detected in the recording; give the note (--note) or the frequency (--f0)")
         return free[1], free[2]
@@ -161,77 +142,3 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | int | None, f0: float 
             f"{name} is too faint: its partials are barely above the noise; give a cleaner recording, or check the note"
         )
     return near[1], near[2]
-
-
-def number_partials(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarray, np.ndarray, FrequencyLaw]:
-    """Number the peaks of `spec`: k [partials], their frequencies (Hz), and the frequency law fitted to them.
-
-    In the treble, distortion is distinguished from partials and excluded (distortion.py).
-    """
-    numbering = _best_numbering(spec, f0, B, top)
-    _, number, frequency, law = numbering
-    if law(TREBLE_PARTIALS) < top or not len(number) or number[0] != 1:
-        return numbering[1:]
-    candidates = np.clip(typical_B(law.f0) * 2.0 ** np.arange(-3, 3.01, 0.125), *B_RANGE)
-    return _best_numbering(*exclude_distortion(spec, float(frequency[0]), law.B, candidates, top), top)[1:]
-
-
-def _best_numbering(spec: Spectrum, f0: float, B: float, top: float) -> _Numbering:
-    """The numbering that collects most peaks: its merit, k [partials], their frequencies (Hz), and the law.
-
-    It is also computed from a B one sixth lower and higher, with the same eighth partial. Strings of one note can
-    differ in B, and a comb of few teeth determines f0 and B only jointly.
-    """
-    best: _Numbering | None = None
-    for factor in (1.0, 0.85, 1.18):
-        start = factor * B
-        law = FrequencyLaw(f0 * float(np.sqrt((1 + 64 * B) / (1 + 64 * start))), 0.0, start, 0.0, 0.0, 0.0)
-        merit, number, frequency, law = _collect(spec, law, top)
-        if best is None or merit > 1.02 * best[0]:
-            best = merit, number, frequency, law
-    assert best is not None  # noqa: S101
-    return best
-
-
-def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> _Numbering:
-    """Collect partials from low to high numbers, with the law refitted at each stage."""
-    merit, number, frequency = 0.0, np.array([], int), np.array([])
-    for last in _STAGES:
-        for _ in range(2):
-            k = np.arange(1, last + 1)
-            merit, number, frequency = _assign(spec, k[law(k) < top], law)
-            if len(number) >= 4:
-                error = np.full(len(number), spec.resolution / 20) + 5e-4 * frequency
-                law = frequency_law(number, frequency, error)
-            elif len(number):
-                law = frequency_law(number, frequency, 5e-4 * frequency, B=law.B)
-        if law(last) > top:
-            break
-    return merit, number, frequency, law
-
-
-def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np.ndarray, np.ndarray]:
-    """Select a peak for each partial: high, and within a fifth of the spacing of the predicted frequency."""
-    number, frequency, total = [], [], 0.0
-    spacing = law(k + 1) - law(k)
-    clear: list[tuple[int, float]] = []  # partial, and its deviation from the law, cents
-    for n, law_hz, reach in zip(k, law(k), np.maximum(0.2 * spacing, spec.step), strict=True):
-        f = law_hz * float(np.exp(_predicted_deviation(clear, n) / CENTS))
-        low, high = np.searchsorted(spec.peak, [f - reach, f + reach])
-        if low == high:
-            continue
-        merit = spec.height[low:high] - 40.0 * ((spec.peak[low:high] - f) / reach) ** 2
-        best = int(np.argmax(merit))
-        if merit[best] > MIN_HEIGHT:
-            number.append(n)
-            frequency.append(spec.peak[low + best])
-            total += float(merit[best])
-            if spec.height[low + best] > _CLEAR:
-                clear.append((int(n), CENTS * float(np.log(frequency[-1] / law_hz))))
-    return total, np.array(number, int), np.array(frequency)
-
-
-def _predicted_deviation(clear: list[tuple[int, float]], n: int) -> float:
-    """Deviation of partial `n` from the law, cents, predicted from the clear peaks below it."""
-    number, deviation = np.array(clear).reshape(-1, 2).T
-    return float(local_deviation(number, deviation, np.array([n]))[0])

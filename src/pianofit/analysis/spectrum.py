@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .demodulation import fast_length
+from ..dsp.bands import fast_length
 
 __all__ = ["Spectrum", "noise_between", "spectrum"]
 

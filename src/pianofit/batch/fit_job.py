@@ -175,9 +175,9 @@ def _fit(
             report_stage(stage)
 
     result = fit(*files, setup=setup, note=job.note, channel=settings.channel, seed=settings.seed, progress=progress)
-    if reason := _wrong_note(job.note, result.document["derived"]["f0"]):
+    if reason := _wrong_note(job.note, result.fit.derived.f0):
         raise AnalysisError(reason)
-    result.document.update(replace_strings(result.document, paths))
+    result = replace(result, fit=result.fit.with_paths(paths))
     (out := place / "out").mkdir(exist_ok=True)
     result.save(out, force=True, page=False)
     if settings.page:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from ..analysis.note_names import note_to_hz
+from ..analysis.note_names import cents_above, note_to_hz
 from ..errors import AnalysisError
 from ..io.number_format import is_number
 from ..report.text import SYMBOLS
@@ -65,8 +65,7 @@ def _tuning(note: str, fit: dict[str, Any]) -> Light:
         nominal = math.nan
     if not (is_number(pitch) and pitch > 0 and nominal > 0):
         return Light("none", "no pitch", "–", None)
-    cents = 1200 * math.log2(pitch / nominal)
-    return _graded(cents, 0, TUNING_LIMITS, "+")
+    return _graded(cents_above(pitch, nominal), 0, TUNING_LIMITS, "+")
 
 
 def _ring(fit: dict[str, Any]) -> Light:

@@ -1,1 +1,1 @@
-"""Signal processing that is independent of the string model: powers of damped exponentials on an even grid."""
+"""Signal processing that is independent of the string model. It uses NumPy and SciPy only."""

@@ -17,14 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..conversions import CENTS, DB
+from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
 from ..model.contact import strike_final_state
-from ..model.free_response import LEVEL_DECAY, LEVEL_SPAN
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES
 from ..parameters import String
 from ..threads import cores
-from .observation_tables import CENTS
 from .parametrisation import STRING_SIZE
 from .problem import FitProblem, ModelInputs, StaticConfig
 
@@ -34,7 +34,6 @@ BATCH_SIZE = 8
 STRING_BATCH_SIZE = 4
 # The same for thousands of hammers: enough for matrix products.
 PRESCREEN_BATCH_SIZE = 64
-DB = 20 / np.log(10)
 # With the string fixed, steps are longer and modes fewer by this factor: a third of the time.
 STEP_COARSENING = 2
 # Refinement of the step that estimates the discretisation error of the contact, with all modes of the model.
@@ -64,8 +63,8 @@ def _level(
     amplitude = modes.pickup[: cfg.rows] * final.amplitude[: cfg.rows]
     size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
     size = size + alpha * (final.steps * modes.step - delay)
-    rate = 2 * (alpha + LEVEL_DECAY)
-    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SPAN) / rate))
+    rate = 2 * (alpha + LEVEL_RATE / 2)
+    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
     return level, final.separated
 
 

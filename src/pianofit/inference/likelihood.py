@@ -39,6 +39,7 @@ from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
+from ..conversions import DB
 from ..model.x64 import AnyArray
 
 # Arrays of NumPy or of JAX, and one of the two as a module.
@@ -47,7 +48,7 @@ Space = Any
 # Keeps the covariance of a path without variance positive definite, in the table's unit squared.
 JITTER = 1e-10
 # 20/log 10 over √2: effect on a level of an amplitude η R that adds at any phase, dB.
-INTERFERENCE_DB = 20 / np.log(10) / np.sqrt(2)
+INTERFERENCE_DB = DB / np.sqrt(2)
 # LAPACK's inverse of a triangular matrix.
 _trtri: Any = get_lapack_funcs("trtri", dtype=np.float64)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..analysis import Analysis, law_frequency
+from ..conversions import CENTS, DB
 from . import priors
 from .likelihood import ObservationTable
 
@@ -15,7 +16,6 @@ from .likelihood import ObservationTable
 HIGHEST_HZ = 10_000.0
 # log τ, dB, of a table without τ.
 NONE = -50.0
-CENTS = 1200 / np.log(2)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
     deviation of each gain group from it, dB.
     """
     recordings = len(layout.stroke)
-    onset = np.eye(recordings)[:, :, None] * (20 / np.log(10) * alpha)
+    onset = np.eye(recordings)[:, :, None] * (DB * alpha)
     onset_sd = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
     if not gains:
         return onset, onset_sd

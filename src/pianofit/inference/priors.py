@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from ..analysis import Analysis
+from ..analysis import Analysis, cents_above
 from ..conversions import midi_of
 from ..errors import SetupError
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
@@ -205,7 +205,7 @@ def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
                 f"[string] {given} needs a wave speed of {needed:.3g} m/s, because {measured}. The range is "
                 f"{parameter.lower:g} to {parameter.upper:g} m/s; correct the length"
             )
-    elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
+    elif abs(cents_above(c / (2 * length), analysis.f0)) > ANOTHER_PITCH:
         raise SetupError(
             f"[fixed] c = {c:g} m/s and [string] {given} make {c / (2 * length):.1f} Hz, but {measured}; "
             "correct one of them"

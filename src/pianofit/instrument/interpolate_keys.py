@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from ..model.free_response import level_energy
+from ..dsp.level import level_energy
 from ..model.modal_response import ModalResponse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note

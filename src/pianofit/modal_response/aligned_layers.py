@@ -1,4 +1,7 @@
-"""Layers of a key with common onset, sample rate and length, and without glide, so that they can share poles."""
+"""Layers of a key with common onset, sample rate and length, and without glide, so that they can share poles.
+
+Their pitches still differ a little, and so do those of single partials. Both are measured from the coherence of phases.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,37 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
-from ..model.modal_response import PRE_ONSET_S, resample
+from ..dsp.bands import Bands, hann_band
+from ..dsp.filters import resample
+from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import Recording
 
-__all__ = ["SPAN", "AlignedLayers", "align_layers"]
+__all__ = ["SPAN", "AlignedLayers", "align_layers", "partial_band", "relative_pitches", "track_offsets"]
 
 # Modes are estimated from this time after the onset, s. Most aftersounds have shown their decay by then.
 SPAN = 3.3
 # A glide is removed only if it exceeds so many of its standard errors.
 SIGNIFICANT_GLIDE = 3.0
+# Length of a band's window in periods of the spacing of partials. Its main lobe then ends half-way to the neighbours.
+KERNEL = 4.0
+# Shortest and longest window, s. With a shorter one the bands of the treble would be wider than their modes need. A
+# longer one would smooth the attack of bass notes.
+KERNEL_RANGE = 0.03, 0.16
+# Number of lowest partials that determine a layer's pitch. Partials below this coherence have almost no weight.
+PITCH_PARTIALS = 16
+LEAST_PITCH_COHERENCE = 0.5
+# Largest relative detuning of a layer from the last layer that is searched: five cents.
+LARGEST_DETUNING = 3e-3
+# Largest deviation of a partial from its layer's pitch: a constant, Hz, and a relative part of a third of a cent. A
+# real string does not have one pitch for all partials.
+LARGEST_DEVIATION = 0.03, 2e-4
+# Phases are compared between these times after the onset, s: past the attack and above the noise.
+COMPARED = 0.08, 2.5
+# The offset of a partial is measured only if its phase relative to the loudest layer has this coherence.
+LEAST_COHERENCE = 0.6
 
 
 @dataclass(frozen=True)
@@ -62,6 +83,63 @@ def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> n
     if analysis.glide_start <= SIGNIFICANT_GLIDE * analysis.glide_error:
         return x
     time = (np.arange(x.shape[-1]) - lead) / rate
-    fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), signal.resample_poly(x, 2, 1, axis=-1), axis=-1)
+    fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), resample(x, rate, 2 * rate), axis=-1)
     # A given phase is reached later when the pitch does not fall.
     return fine(np.interp(time, time + analysis.glide_model.phase_advance_s(np.maximum(time, 0.0)), time))
+
+
+def partial_band(spectrum: np.ndarray, samples: int, rate: float, frequency: float, spacing: float) -> Bands:
+    """The band about `frequency`, Hz, of signals of this length with half spectra [..., bins].
+
+    Its width suits partials `spacing` Hz apart.
+    """
+    return hann_band(spectrum, samples, rate, frequency, float(np.clip(KERNEL / spacing, *KERNEL_RANGE)))
+
+
+def relative_pitches(
+    spectrum: np.ndarray, layers: AlignedLayers, partials: Sequence[tuple[int, float, float]]
+) -> np.ndarray:
+    """Relative detuning of each layer from the last [layers]: the weighted median over its partials.
+
+    The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent.
+
+    Parameters
+    ----------
+    spectrum : half spectra of the layers [layers, channels, bins].
+    partials : number, frequency and spacing, Hz, of each.
+    """
+    offset, weight = [], []
+    for _, frequency, spacing in partials[:PITCH_PARTIALS]:
+        b = partial_band(spectrum, layers.samples.shape[-1], layers.rate, frequency, spacing)
+        detuning, coherence = _offsets(b, np.zeros(len(b.z)), LARGEST_DETUNING * frequency)
+        offset.append(detuning / frequency)
+        weight.append(np.where(coherence > LEAST_PITCH_COHERENCE, coherence**2, 1e-9))
+    pitch = np.zeros(len(layers.samples))
+    for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
+        order = np.argsort(x)
+        total = np.cumsum(w[order])
+        pitch[i] = x[order][np.searchsorted(total, total[-1] / 2)]
+    return pitch
+
+
+def track_offsets(b: Bands, pitch: np.ndarray) -> np.ndarray:
+    """Frequency of a partial in each layer minus that in the last layer, Hz [layers].
+
+    It is measured from the phase if that is coherent. Otherwise it follows from the layers' relative `pitch`.
+    """
+    frequency = float(b.centre)
+    expected = frequency * pitch
+    offset, coherence = _offsets(b, expected, LARGEST_DEVIATION[0] + LARGEST_DEVIATION[1] * frequency)
+    return np.where(coherence > LEAST_COHERENCE, offset, expected)
+
+
+def _offsets(b: Bands, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Offset of each layer's partial from the last layer's, Hz, within `reach` of `expected`, and its coherence."""
+    frames = (b.time > COMPARED[0]) & (b.time < COMPARED[1])
+    z, time = b.z[..., frames], b.time[frames]
+    turn = z * z[-1].conj() * np.exp(-2j * np.pi * expected[:, None, None] * time)
+    turn = turn / np.sqrt(np.abs(turn) + 1e-30)
+    trial = np.linspace(-1, 1, 121) * reach
+    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time, trial))).sum(axis=1)
+    best = np.argmax(sums, axis=1)
+    return expected + trial[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)

@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse, resample
+from ..dsp.filters import resample
+from ..dsp.loudness import log_mel_distances
+from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse
 from ..result import FittedRecording, Result
 from ..schema.modal_response import RENDER_MODELS, FittedModalResponse, LayerEntry, ModalResponseEntry, RenderModel
 from ..threads import cores, one_blas_thread
 from .aligned_layers import AlignedLayers, align_layers
-from .distance import log_mel_distances
 from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
 

@@ -9,17 +9,16 @@ and with the pattern of the other layers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..analysis import Analysis, law_frequency
-from ..model.modal_response import sum_damped_modes
-from .aligned_layers import AlignedLayers
-from .bands import Band, band, kernel_gain, kernel_seconds
-from .esprit import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
-from .relative_pitch import relative_pitches, track_offsets
+from ..dsp.bands import Bands
+from ..dsp.common_poles import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
+from ..dsp.damped_sums import sum_damped_modes
+from .aligned_layers import AlignedLayers, partial_band, relative_pitches, track_offsets
 from .valid_frames import RANGE, ValidFrames, select_valid_frames
 
 __all__ = ["PartialModes", "common_pattern", "modes_of"]
@@ -38,11 +37,9 @@ FASTEST_RATIO = 5.0
 SLOWEST = 0.05
 # Largest signal-to-noise ratio by which a layer is weighted in the common pattern, dB.
 LARGEST_LAYER_SNR = 30.0
-# Largest deviation of a pole's frequency, as a share of the spacing of partials and of the inverse kernel length.
+# Largest deviation of a pole's frequency, as a share of the spacing of partials and of the inverse window length.
 OF_SPACING = 0.4
 OF_BAND = 0.7
-# Noise bandwidth of a Hann kernel times its length. Frames at a higher rate are correlated.
-NOISE_BANDWIDTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -76,20 +73,14 @@ def modes_of(layers: AlignedLayers, analyses: Sequence[Analysis]) -> list[Partia
 
     The modes are estimated twice. The second pass removes the neighbouring partials of the first pass from each band.
     """
-    count = layers.samples.shape[-1]
     spectrum = np.fft.rfft(layers.samples)
     partials = _partials(analyses, layers.rate)
-    pitch = relative_pitches(spectrum, count, layers, partials)
-    fitted: list[PartialModes] = []
-    for number, frequency, spacing in partials:
-        modes = _fit(spectrum, count, layers, (number, frequency, spacing), pitch)
-        fitted += [modes] if modes else []
-    fitted = _strong(fitted)
-    if not fitted:
+    pitch = relative_pitches(spectrum, layers, partials)
+    first = _strong([_fit(spectrum, layers, partial, pitch) for partial in partials])
+    if not first:
         return []
-    residual = np.fft.rfft(layers.samples - synthesise(fitted, layers))
-    second = [_fit(residual, count, layers, (m.number, m.frequency, m.spacing), pitch, m) for m in fitted]
-    return _strong([modes for modes in second if modes])
+    residual = np.fft.rfft(layers.samples - synthesise(first, layers))
+    return _strong([_fit(residual, layers, (m.number, m.frequency, m.spacing), pitch, m) for m in first])
 
 
 def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float, float]]:
@@ -106,8 +97,9 @@ def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float,
     return [row for row in rows if row[1] + row[2] < 0.45 * rate]
 
 
-def _strong(partials: list[PartialModes]) -> list[PartialModes]:
+def _strong(fitted: Sequence[PartialModes | None]) -> list[PartialModes]:
     """The partials that exceed `FAINTEST`."""
+    partials = [modes for modes in fitted if modes]
     level = [np.abs(modes.amplitude).sum(-1).max() for modes in partials]
     return [m for m, x in zip(partials, level, strict=True) if x > max(level) * 10 ** (FAINTEST / 20)]
 
@@ -125,7 +117,6 @@ def synthesise(partials: Sequence[PartialModes], layers: AlignedLayers) -> np.nd
 
 def _fit(
     spectrum: np.ndarray,
-    count: int,
     layers: AlignedLayers,
     partial: tuple[int, float, float],
     pitch: np.ndarray,
@@ -140,52 +131,51 @@ def _fit(
         itself takes one or three modes from the subspace without refinement.
     """
     number, frequency, spacing = partial
-    b = band(spectrum, count, layers.rate, frequency, kernel_seconds(spacing))
-    z = b.values
+    count = layers.samples.shape[-1]
+    b = partial_band(spectrum, count, layers.rate, frequency, spacing)
     if first is not None:
-        z = z + np.stack([_in_band(first, i, b) for i in range(len(z))])
-    between = np.abs(band(spectrum, count, layers.rate, frequency + spacing / 2, b.kernel).values)
-    offset = track_offsets(z, b.time, frequency, pitch)
-    z = z * np.exp(-2j * np.pi * offset[:, None, None] * b.time)
-    valid = select_valid_frames(b, z, between, layers.seconds)
-    if valid is None:
-        return None
-    selected = _select_order(valid, spacing, b.kernel, quick=first is None)
-    if selected is None:
+        b = replace(b, z=b.z + np.stack([_in_band(first, i, b) for i in range(len(b.z))]))
+    between = np.abs(partial_band(spectrum, count, layers.rate, frequency + spacing / 2, spacing).z)
+    offset = track_offsets(b, pitch)
+    b = replace(b, z=b.z * np.exp(-2j * np.pi * offset[:, None, None] * b.time))
+    valid = select_valid_frames(b, between, layers.seconds)
+    selected = None if valid is None else _select_order(valid, spacing, b, quick=first is None)
+    if valid is None or selected is None:
         return None
     pole, amplitude = selected
-    error = standard_errors(pole, valid.signals, max(1.0, b.kernel / (NOISE_BANDWIDTH * b.step)))
     return PartialModes(
         number=number,
         frequency=frequency,
         spacing=spacing,
         start=valid.start,
         pole=pole,
-        pole_error=error,
-        amplitude=amplitude * 2 / kernel_gain(pole, b.kernel),
+        pole_error=standard_errors(pole, valid.signals, max(1.0, 1 / (b.noise_width * b.step))),
+        amplitude=amplitude * 2 / b.gain(pole),
         offset=offset,
         noise=valid.noise,
         snr=valid.snr,
     )
 
 
-def _in_band(modes: PartialModes, layer: int, b: Band) -> np.ndarray:
-    """Signal of modes in their band, valid after the edge of the kernel [channels, frames]."""
-    amplitude = modes.amplitude[layer] * kernel_gain(modes.pole, b.kernel) / 2
+def _in_band(modes: PartialModes, layer: int, b: Bands) -> np.ndarray:
+    """Signal of modes in their band, valid after the edge of the window [channels, frames]."""
+    amplitude = modes.amplitude[layer] * b.gain(modes.pole) / 2
     turn = np.exp(2j * np.pi * modes.offset[layer] * b.time)
     return amplitude @ np.exp(np.outer(modes.pole, b.time - modes.start)) * turn
 
 
-def _select_order(
-    valid: ValidFrames, spacing: float, kernel: float, quick: bool
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _select_order(valid: ValidFrames, spacing: float, b: Bands, quick: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Poles and amplitudes of the order with the highest evidence."""
     single = poles_by_subspace(valid.signals, valid.scale, [1], 0.0).get(1)
     if single is None:
         return None
     decay = -float(single[0].real)
     fastest = max(FASTEST, FASTEST_RATIO * decay)
-    box = _box(fastest, 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / kernel))
+    widest = 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / b.window)
+
+    def box(pole: np.ndarray) -> np.ndarray:
+        return np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
+
     starts: dict[int, tuple[float, np.ndarray]] = {}
     for lift in LIFTS[1:] if quick else LIFTS:
         orders = ORDERS[::2] if quick else ORDERS
@@ -195,29 +185,19 @@ def _select_order(
             if order not in starts or pattern_misfit < starts[order][0]:
                 starts[order] = pattern_misfit, pole
     best = None
+    samples = valid.signals.length.sum() * min(1.0, b.noise_width * b.step)  # frames at a higher rate are correlated
     for order, (_, start) in starts.items():
         pole = start if quick else refine_poles(start, valid.signals, box)
         amplitude, own_misfit, pattern_misfit = _score_poles(pole, valid)
-        score = _evidence(own_misfit, pattern_misfit, order, valid, kernel)
+        # Log evidence of the order (Schwarz 1978), the mean of those of both misfits. n samples with unknown variance
+        # have the log likelihood -n log misfit. Each mode costs log n for its pole and for its amplitude in every
+        # signal.
+        score = -samples * np.log(own_misfit * pattern_misfit) / 2
+        score -= order * (len(valid.signals.values) + 1) * np.log(samples)
         # A pole at the fastest decay belongs to the knock and is rejected, except with order 1, which comes first.
         if best is None or (score > best[0] and np.real(pole).min() > -fastest):
             best = score, (pole, amplitude)
     return None if best is None else best[1]
-
-
-def _evidence(own_misfit: float, pattern_misfit: float, order: int, valid: ValidFrames, kernel: float) -> float:
-    """Log evidence of an order (Schwarz 1978), the mean of those of both misfits.
-
-    n samples with unknown variance have the log likelihood -n log misfit. Each mode costs log n for its pole and for
-    its amplitude in every signal.
-    """
-    samples = valid.signals.length.sum() * min(1.0, NOISE_BANDWIDTH * valid.signals.step / kernel)
-    fit = -samples * np.log(own_misfit * pattern_misfit) / 2
-    return fit - order * (len(valid.signals.values) + 1) * np.log(samples)
-
-
-def _box(fastest: float, widest: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda pole: np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
 
 
 def _score_poles(pole: np.ndarray, valid: ValidFrames) -> tuple[np.ndarray, float, float]:
@@ -267,7 +247,7 @@ def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray
     """Pattern common to all layers [..., channels, modes], and each layer's complex factor on it [..., layers].
 
     The pattern is the first singular vector over [layers, (channels, modes)]. Layers are divided by their noise, which
-    is taken as at least `AHEAD` dB below the layer's own amplitude.
+    is taken as at least `LARGEST_LAYER_SNR` dB below the layer's own amplitude.
 
     Parameters
     ----------

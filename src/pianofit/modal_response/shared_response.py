@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
+from ..dsp.damped_sums import sum_damped_modes
+from ..dsp.filters import delayed
 from ..model.modal_response import (
     FILTER_REACH,
     PRE_ONSET_S,
@@ -15,11 +17,10 @@ from ..model.modal_response import (
     ModalResponse,
     VelocityGain,
     cancel_static_deflection,
-    sum_damped_modes,
 )
+from ..result.notes import UNINFORMATIVE_ERROR, smooth_random_walk
 from .aligned_layers import AlignedLayers
 from .modes import PartialModes, common_pattern
-from .velocity_gain import velocity_gain
 
 __all__ = ["SharedResponse", "estimate_shared_response"]
 
@@ -126,8 +127,44 @@ def _velocity_gain(
     with np.errstate(divide="ignore", invalid="ignore"):  # a partial without amplitude gets an infinite error
         error = np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)
     distinct, first = np.unique(velocity[order], return_index=True)
-    factor = velocity_gain([a[order] for a in per_drive], patterns, error.T[order], velocity[order])
+    factor = _stroke_factors([a[order] for a in per_drive], patterns, error.T[order], velocity[order])
     return VelocityGain(distinct, factor[first])
+
+
+def _stroke_factors(
+    observed: Sequence[np.ndarray], pattern: Sequence[np.ndarray], error: np.ndarray, velocity: np.ndarray
+) -> np.ndarray:
+    """Factors on the modes' patterns for every stroke, complex [strokes, modes of all partials].
+
+    The amplitude of a mode divided by the force spectrum is not constant for a key. The level of a partial and the
+    shares of its modes vary with velocity by one or two decibels. Both are random walks over the logarithm of the
+    velocity (`smooth_random_walk`). Where the strokes do not determine a walk, it stays at its mean.
+
+    Parameters
+    ----------
+    observed : for each partial, the amplitudes of every stroke over its force, complex [strokes, channels, modes].
+    pattern : for each partial, the common pattern, complex [channels, modes].
+    error : relative standard error of the amplitudes' real and imaginary parts [strokes, partials].
+    velocity : of the strokes, m/s, rising.
+    """
+    level, deviation, share = [], [], []
+    for own, common in zip(observed, pattern, strict=True):
+        size, common_size = np.linalg.norm(own, axis=(1, 2)), np.linalg.norm(common)
+        turn = np.exp(-1j * np.angle((own * common.conj()).sum(axis=(1, 2))))
+        power = np.linalg.norm(common, axis=0)
+        projected = (own * common.conj()).sum(axis=1) / np.where(power > 0, power, 1.0)
+        share.append(power / common_size)
+        level.append(np.log(np.where(size > 0, size, common_size) / common_size))
+        deviation.append((turn / np.where(size > 0, size, 1.0))[:, None] * projected - share[-1])
+    error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
+    levels = smooth_random_walk(np.stack(level, axis=1), error, velocity)
+    modes = np.array([len(x) for x in share])
+    columns = np.concatenate(deviation, axis=1)
+    both = np.concatenate([np.real(columns), np.imag(columns)], axis=1)
+    real, imag = np.split(smooth_random_walk(both, np.tile(np.repeat(error, modes, axis=1), 2), velocity), 2, axis=1)
+    shares = np.concatenate(share)
+    factor = 1 + (real + 1j * imag) / np.where(shares > 0, shares, np.inf)
+    return np.exp(np.repeat(levels, modes, axis=1)) * factor
 
 
 def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
@@ -181,7 +218,7 @@ def _knock(
     for x, before, own, poles, force, late, g in rows:
         around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
         # Every layer starts `PRE_ONSET_S` before its contact.
-        observed = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
+        observed = delayed(around[:, : 2 * size], -late * rate)[:, :size]
         own_modes = response._replace(pole=poles)
         residual = observed - _render_modes(own_modes, own * np.exp(poles * late), force, size, inaudible)
         spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * FILTER_REACH)
@@ -209,10 +246,3 @@ def _render_modes(
     remainder = sum_damped_modes(response.pole, amplitude - driven * drive, response.rate, size - lead)
     sound = response._replace(pattern=driven, knock=inaudible(driven)).sound(force, response.rate, size)
     return sound + np.pad(remainder, ((0, 0), (lead, 0)))
-
-
-def _shifted(x: np.ndarray, samples: float) -> np.ndarray:
-    """x delayed by a real number of samples."""
-    size = x.shape[-1] + 2048
-    turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * samples)
-    return np.fft.irfft(np.fft.rfft(x, size) * turn, size)[..., : x.shape[-1]]

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
+from ..dsp.bands import Bands
+from ..dsp.common_poles import Signals
 from .aligned_layers import SPAN
-from .bands import Band
-from .esprit import Signals
 
 __all__ = ["RANGE", "ValidFrames", "select_valid_frames"]
 
@@ -29,7 +29,7 @@ ENVELOPE = 0.06
 # Least number of frames and least duration, s, of a fitted signal, however soon it falls below the noise.
 FEWEST = 12
 SHORTEST = 0.1
-# Valid frames begin this time, s, after the kernel has left the onset: the length of the first contact.
+# Valid frames begin this time, s, after the window has left the onset: the length of the first contact.
 CONTACT = 0.003
 # Valid frames end where the envelope falls below this multiple of the noise amplitude.
 NOISE_MARGIN = 2.0
@@ -58,24 +58,23 @@ class ValidFrames:
     snr: np.ndarray  # [layers]
 
 
-def select_valid_frames(b: Band, z: np.ndarray, between: np.ndarray, ends: np.ndarray) -> ValidFrames | None:
-    """Select the frames of a band that are fitted; None if no layer exceeds its noise.
+def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> ValidFrames | None:
+    """Select the frames of a band [layers, channels, frames] that are fitted; None if no layer exceeds its noise.
 
     Parameters
     ----------
-    z : the band [layers, channels, frames].
     between : magnitude of the band half a spacing above [layers, channels, frames]. It measures the noise.
     ends : s, of each layer.
     """
-    quiet = [(b.time > min(NOISE_BEGIN * end, end - b.kernel - b.step)) & (b.time <= end - b.kernel) for end in ends]
+    quiet = [(b.time > min(NOISE_BEGIN * end, end - b.window - b.step)) & (b.time <= end - b.window) for end in ends]
     noise = (
         np.stack([np.median(between[i][:, frames], axis=-1) for i, frames in enumerate(quiet)]) * RMS_OVER_MEDIAN + 1e-9
     )
     width = max(1, round(ENVELOPE / b.step))
     smooth = np.ones((1, 1, width)) / width
-    envelope = np.sqrt(signal.convolve(np.abs(z) ** 2, smooth, "same").clip(0))
-    first = int(np.ceil((b.kernel / 2 + CONTACT) / b.step))
-    stop = np.array([int((min(SPAN, end - FADE_OUT) - b.kernel / 2) / b.step) for end in ends])
+    envelope = np.sqrt(signal.convolve(np.abs(b.z) ** 2, smooth, "same").clip(0))
+    first = int(np.ceil((b.window / 2 + CONTACT) / b.step))
+    stop = np.array([int((min(SPAN, end - FADE_OUT) - b.window / 2) / b.step) for end in ends])
     top = envelope[..., first : first + TOP_FRAMES].max(axis=-1)
     snr = 20 * np.log10(np.maximum(top, noise * 1e-6) / noise)  # a channel may be silent
     floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
@@ -92,5 +91,5 @@ def select_valid_frames(b: Band, z: np.ndarray, between: np.ndarray, ends: np.nd
     weight = 1 / ((envelope[:, :, frame] + NOISE_MARGIN * floor[..., None]) * even)[above_noise]
     weight[np.arange(len(frame)) >= length[:, None]] = 0.0
     scale = np.maximum(floor, envelope[..., first] * 10 ** (-LEAST_DEVIATION_DB / 20))[above_noise]
-    signals = Signals(z[:, :, frame][above_noise], weight, b.step)
+    signals = Signals(b.z[:, :, frame][above_noise], weight, b.step)
     return ValidFrames(above_noise, signals, scale, first * b.step, floor, snr.max(axis=1))

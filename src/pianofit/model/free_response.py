@@ -17,16 +17,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Complex, Float
 
+from ..dsp.damped_sums import sum_damped_modes
+from ..dsp.level import level_energy
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
-from .damped_sums import z_transform
+from .damped_sums import sum_damped_exponentials, z_transform
 from .modes import Modes
 from .x64 import AnyArray, float64
 
 __all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
 
-# The level of a partial is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
-LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
 # Largest exponent: exp of this, and its square, are finite.
 MAX_EXPONENT = 300.0
 
@@ -166,12 +166,6 @@ def level_db(
     return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
 
 
-def level_energy(decay: AnyArray, xp=np) -> AnyArray:
-    """∫ exp(-(decay + 16)t) dt, s [...], over the 0.35 s of a level, for the `decay` rate of a power, 1/s."""
-    rate = decay + 2 * LEVEL_DECAY
-    return (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
-
-
 @float64
 def waveform(
     modes: Modes,
@@ -264,9 +258,7 @@ def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None):
 
 
 def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:
-    """Σ_k Re(A_k z_k^n), n < samples, as one matrix product: z^(block·i + j) = z^(block·i) z^j."""
-    block = 512
-    blocks = -(-max(samples, 0) // block)
-    starts = xp.exp(xp.outer(xp.arange(blocks) * block, log_z)) * amplitude
-    within = xp.exp(xp.outer(log_z, xp.arange(block)))
-    return (xp.real(starts) @ xp.real(within) - xp.imag(starts) @ xp.imag(within)).ravel()[:samples]
+    """Σ_k Re(A_k z_k^n), n < samples."""
+    if xp is jnp:
+        return sum_damped_exponentials(amplitude, log_z, max(samples, 0))
+    return sum_damped_modes(log_z, amplitude[None], 1.0, max(samples, 0), np.zeros(len(log_z)))[0]

@@ -11,29 +11,25 @@ per mode, is the change with velocity v beyond the change that the force explain
 from __future__ import annotations
 
 import functools
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import oaconvolve, resample_poly
 
-from ..dsp.damped_powers import powers
+from ..dsp.damped_sums import sum_damped_modes, z_transform_at_poles
+from ..dsp.filters import resample
 from ..io.number_format import summary
 from .output_path import at_velocity
 from .simulate import Simulation
 
 __all__ = [
     "FILTER_REACH",
-    "AMPLITUDE_FLOOR",
     "PRE_ONSET_S",
     "ForcePulse",
     "VelocityGain",
     "ModalResponse",
     "force_pulse",
-    "resample",
-    "sum_damped_modes",
     "cancel_static_deflection",
-    "z_transform_at_poles",
     "trim_trailing_zeros",
 ]
 
@@ -43,14 +39,6 @@ PRE_ONSET_S = 0.012
 FILTER_REACH = 10
 # Steps per sample to which a force is interpolated if its own step does not divide a sample.
 INTERPOLATION_STEPS = 8
-# Modes below this fraction of the largest initial amplitude are left out: -160 dB.
-AMPLITUDE_FLOOR = 1e-8
-# Blocks computed between two checks of which modes still sound.
-BLOCKS_PER_CHECK = 32
-# Samples of a block: more would not fit into a processor cache.
-LARGEST_BLOCK = 512
-# Sets of modes whose powers stay cached: a played key needs free and damped modes, and modes at the contact rate.
-CACHED_POWERS = 4
 # Keys whose static corrections stay cached.
 CACHED_KEYS = 88
 # The correction of a mode ends where it has decayed by exp of this.
@@ -228,48 +216,6 @@ class ModalResponse(NamedTuple):
         return out
 
 
-def resample(x: np.ndarray, old: int, new: int) -> np.ndarray:
-    """Resample a sound [..., samples] from the rate `old` to the rate `new`, Hz."""
-    divisor = math.gcd(old, new)
-    return x if new == old else resample_poly(x, new // divisor, old // divisor, axis=-1)
-
-
-def sum_damped_modes(
-    pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int, audibility_threshold: np.ndarray | None = None
-) -> np.ndarray:
-    """Compute Re Σ amplitude exp(pole t) [channels, count] of decaying modes with amplitudes [channels, modes].
-
-    Time is divided into blocks. The amplitudes at the start of each block times the powers within a block are one
-    matrix product.
-
-    Parameters
-    ----------
-    audibility_threshold : amplitudes below which modes are left out [modes]; default `FAINT` times the largest.
-    """
-    out = np.zeros((len(amplitude), count))
-    if not (count and amplitude.size):
-        return out
-    block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
-    blocks = min(-(-count // block), BLOCKS_PER_CHECK)
-    if audibility_threshold is None:
-        audibility_threshold = np.full(len(pole), AMPLITUDE_FLOOR * np.abs(amplitude).max())
-    within = _powers_within_block(np.asarray(pole / rate, complex).tobytes())
-    begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks + 1], the last for the next chunk
-    for first in range(0, count, blocks * block):
-        loud = (np.abs(amplitude) > audibility_threshold).any(axis=0)
-        if not loud.any():
-            break
-        if not loud.all():
-            pole, amplitude, audibility_threshold = pole[loud], amplitude[:, loud], audibility_threshold[loud]
-            within, begins = within[loud, :, :block], begins[loud]
-        chunk = out[:, first : first + blocks * block]
-        starts = amplitude[:, None] * begins[:, :-1].T
-        rows = np.ascontiguousarray(starts).view(float) @ within.reshape(-1, within.shape[-1])[:, :block]
-        chunk[:] = rows.reshape(len(amplitude), -1)[:, : chunk.shape[-1]]
-        amplitude = amplitude * begins[:, -1]
-    return out
-
-
 def cancel_static_deflection(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np.ndarray:
     """Return the correction of Re Σ amplitude z^n that removes the static deflection [channels, count].
 
@@ -286,14 +232,6 @@ def cancel_static_deflection(pole: np.ndarray, amplitude: np.ndarray, rate: floa
     return single + np.arange(1, count + 1) * sum_damped_modes(fast, amplitude * double, rate, count)
 
 
-def z_transform_at_poles(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Σ_n x_n z^n, complex [modes]."""
-    rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
-    within = _powers_within_block(np.asarray(log_z, complex).tobytes())
-    real, imag = np.moveaxis(within @ rows.T, 1, 0)  # [modes, blocks]
-    return ((real - 1j * imag) * powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
-
-
 @functools.lru_cache(maxsize=CACHED_KEYS)
 def _static_corrections(pole: bytes, amplitude: bytes, shape: tuple[int, ...], rate: int, count: int) -> np.ndarray:
     """`cancel_static_deflection` [strokes, channels, count] of amplitudes of `shape`, arrays given as bytes."""
@@ -301,12 +239,3 @@ def _static_corrections(pole: bytes, amplitude: bytes, shape: tuple[int, ...], r
     corrections = cancel_static_deflection(modes, rows, rate, count).reshape(*shape[:-1], count)
     corrections.flags.writeable = False
     return corrections
-
-
-@functools.lru_cache(maxsize=CACHED_POWERS)
-def _powers_within_block(log_z: bytes) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], with log z as bytes."""
-    z = powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
-    parts = np.stack([np.real(z), -np.imag(z)], axis=1)
-    parts.flags.writeable = False
-    return parts

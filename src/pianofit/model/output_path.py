@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve
 
+from ..dsp.level import level_energy
 from ..io.number_format import summary
-from .free_response import level_energy
 
 __all__ = [
     "SAME_PARTIAL_TOLERANCE",

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..dsp.damped_sums import AMPLITUDE_FLOOR
 from ..errors import FitError, ParameterError
 from ..felt import RelaxingHammer, is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
 from ..model.damped_sums import BLOCK, real_powers
-from ..model.modal_response import AMPLITUDE_FLOOR, ForcePulse, trim_trailing_zeros
+from ..model.modal_response import ForcePulse, trim_trailing_zeros
 from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note
 from ..model.output_path import apply_to_modes, impulse_response

@@ -15,7 +15,8 @@ import math
 
 import numpy as np
 
-from ..model.modal_response import AMPLITUDE_FLOOR, ForcePulse, sum_damped_modes, z_transform_at_poles
+from ..dsp.damped_sums import AMPLITUDE_FLOOR, sum_damped_modes, z_transform_at_poles
+from ..model.modal_response import ForcePulse
 from ..model.note import Note
 from ..model.output_path import apply_filter
 from .repeated_strike import StringTables, strike_string, string_tables

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["find_onset", "find_sounds", "forward_mean", "without_drift"]
+from ..dsp.filters import forward_mean, without_drift
 
-LOWEST = 20.0  # Hz; a piano has no partial below it, only offset, drift or rumble
+__all__ = ["find_onset", "find_sounds"]
+
 LOUD = 0.05  # of the peak, above which a sample belongs to a sound
 WIDTH = 0.02  # s, over which a level is averaged; a click is much shorter
 PERIOD = 0.037  # s, of the lowest key; the level that divides sounds is averaged over it, because bass notes are pulses
@@ -75,27 +76,6 @@ def _quiet_level(level: np.ndarray, width: int) -> float:
     """
     half, hop = int(np.argmax(level >= 0.5 * level.max())), max(width // 4, 1)
     return min(float(np.quantile(part[::hop], 0.1)) for part in (level, level[: half + 1]))
-
-
-def forward_mean(values: np.ndarray, width: int) -> np.ndarray:
-    """Mean of the `width` values from each one on [samples - width + 1]."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    width = min(max(width, 1), len(values))
-    return np.maximum(total[width:] - total[:-width], 0) / width
-
-
-def without_drift(x: np.ndarray, rate: int) -> np.ndarray:
-    """Return the part of `x` [samples] above 20 Hz.
-
-    The filter is causal: a sample does not affect earlier ones. `x` is extended before its beginning by a point
-    reflection, so that an offset or a drift does not cause a step.
-    """
-    from scipy.signal import butter, sosfilt, sosfilt_zi
-
-    lead = min(round(WIDTH * rate), len(x) - 1)
-    extended = np.append(2 * x[0] - x[lead:0:-1], x)
-    sections = butter(4, LOWEST, "highpass", fs=rate, output="sos")
-    return sosfilt(sections, extended, zi=extended[0] * sosfilt_zi(sections))[0][lead:]
 
 
 def _sound_starts(decibels: np.ndarray) -> list[int]:

@@ -16,9 +16,7 @@ import numpy as np
 from ..errors import ParameterError, RecordingError, check_type
 from ..io.audio import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
 from ..io.files import printable, read_file, short_repr
-from .channels import check_channel, opposite_channels, select_channels
-from .clipping import count_clipped
-from .noise import noise_rms, offset
+from .measurements import check_channel, count_clipped, noise_rms, offset, opposite_channels, select_channels
 from .onset import find_sounds
 
 __all__ = [

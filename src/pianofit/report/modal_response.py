@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..analysis import law_frequency
+from ..dsp.loudness import audible_floor, mel_edges, mel_power
 from ..io.number_format import counted, number
-from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
+from ..modal_response import partial_band
 from ..model.decay import decays_and_beats
 from ..result import Result
 from ..schema.modal_response import FittedModalResponse, RenderModel
@@ -123,12 +124,12 @@ def envelopes_of(result: Result, numbers: list[int]) -> list[Envelope]:
     for k in numbers:
         centre = float(partials.frequency[partials.number == k][0])
         spacing = float(np.diff(law_frequency(f0, B, np.array([k, k + 1])))[0])
-        b = band(spectrum, count, rate, centre, kernel_seconds(spacing))
+        b = partial_band(spectrum, count, rate, centre, spacing)
         time = b.time - (onset - begin) / rate
-        end = min(ENVELOPE_SECONDS, (count - onset + begin) / rate - b.kernel)
+        end = min(ENVELOPE_SECONDS, (count - onset + begin) / rate - b.window)
         at = np.flatnonzero((time >= 0) & (time <= end))
         at = at[:: max(1, len(at) // ENVELOPE_POINTS)]
-        db = 20 * np.log10(np.maximum(2 * np.abs(b.values[:, at]), 1e-15))
+        db = 20 * np.log10(np.maximum(2 * np.abs(b.z[:, at]), 1e-15))
         envelopes.append(Envelope(k, centre, time[at], dict(zip(sounds, db, strict=True))))
     return envelopes
 
@@ -174,7 +175,7 @@ def spectrograms_of(result: Result) -> Spectrograms:
     )
     # At least one frame, also of a very short recording.
     frames = time <= max(min(ENVELOPE_SECONDS, time[-1] - WINDOW_SECONDS), 0.0)
-    floor = max(float(measured[frames].max()), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
+    floor = audible_floor(measured[frames])
     db = (10 * np.log10(power[frames] + floor).T for power in (measured, fitted))
     return Spectrograms(time[frames], mel_edges(n, MEL_BANDS, recording.rate)[1:-1], *db)
 

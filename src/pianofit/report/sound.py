@@ -1,9 +1,9 @@
 """Sounds of a page: cut to the note, equally loud, 16 bits, encoded as text that a browser can play.
 
 Listeners compare the sounds and prefer the louder of two. Therefore all get the same loudness: the mean square over the
-channels and the first second, after the K-weighting of ITU-R BS.1770. Its two filters are analogue prototypes here, so
-they are the same at every rate. A common gain keeps the highest peak 1 dB below full scale, so that sounds do not clip,
-also during a crossfade. Sounds whose loudness is to be compared get the common gain only.
+channels and the first second, after the K-weighting of ITU-R BS.1770 (`dsp/loudness.py`). A common gain keeps the
+highest peak 1 dB below full scale, so that sounds do not clip, also during a crossfade. Sounds whose loudness is to be
+compared get the common gain only.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..dsp.filters import reduce_rate
+from ..dsp.loudness import k_weighted_mean_square
 from ..io.files import PEAK_LIMIT, encode_pcm
 from .html import data_uri
 
@@ -50,22 +52,6 @@ class Clip:
         return "".join(c if c.isalnum() or c in ".-" else "-" for c in self.name) + "-matched.wav"
 
 
-def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
-    """Return the mean square of `samples` [..., samples] after the K-weighting of ITU-R BS.1770-4, annex 1."""
-    power = np.mean(np.abs(np.fft.rfft(np.atleast_2d(samples))) ** 2, axis=0)
-    count = np.shape(samples)[-1]
-    s = 2j * np.pi * np.fft.rfftfreq(count, 1 / rate)
-    w1, q1, high = (
-        2 * np.pi * 1681.974,
-        0.7071752,
-        10 ** (3.999844 / 20),
-    )  # shelf: +4 dB above 1.7 kHz, effect of the head
-    w2, q2 = 2 * np.pi * 38.13547, 0.5003270  # high-pass
-    shelf = (high * s**2 + high**0.4996668 * w1 / q1 * s + w1**2) / (s**2 + w1 / q1 * s + w1**2)
-    highpass = s**2 / (s**2 + w2 / q2 * s + w2**2)
-    return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / count**2)
-
-
 def make_clips(
     sounds: dict[str, np.ndarray],
     rate: int,
@@ -93,11 +79,12 @@ def make_clips(
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in excerpts.items())
     common = PEAK_LIMIT / highest if highest > 0 else 1.0
-    return [
-        Clip(name, encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16),
-             20 * math.log10(gains[name] * common), rate, samples.shape[-1] / rate)
-        for name, samples in excerpts.items()
-    ]  # fmt: skip
+    clips = []
+    for name, samples in excerpts.items():
+        gain = gains[name] * common
+        wav = encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16)
+        clips.append(Clip(name, wav, 20 * math.log10(gain), rate, samples.shape[-1] / rate))
+    return clips
 
 
 def seconds_each(pairs: int, samples: int, longest: float, shortest: float) -> float:
@@ -114,9 +101,4 @@ def excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor
     kept = samples[:, start : start + round(seconds * rate)].copy()
     fade = round(FADE * rate)
     kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)[-kept.shape[-1] :]
-    if factor == 1:
-        return kept
-    from scipy.signal import resample  # by FFT; both ends are silent, so they do not wrap around
-
-    size = -(-kept.shape[-1] // factor)
-    return np.asarray(resample(np.pad(kept, ((0, 0), (0, size * factor - kept.shape[-1]))), size, axis=-1))
+    return reduce_rate(kept, factor)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -416,6 +417,27 @@ class Fit(NoteFile):
     def has_intervals(self) -> bool:
         """Whether any parameter has an interval; fits by the paper's methods have none."""
         return any(quantity.interval for quantity in self.parameters.values())
+
+    def with_paths(self, paths: Mapping[str, str]) -> Fit:
+        """Return the fit with other paths of its recordings, new by old, in entries and in sentences."""
+
+        def new(text: str) -> str:
+            for old in sorted(paths, key=len, reverse=True):  # a path may begin with another
+                text = text.replace(old, paths[old])
+            return text
+
+        response = self.modal_response
+        layers = () if response is None else (replace(layer, file=new(layer.file)) for layer in response.layers)
+        return replace(
+            self,
+            identifiability_statement=new(self.identifiability_statement),
+            warnings=tuple(map(new, self.warnings)),
+            invariants=Quantities.of(
+                replace(quantity, note=new(quantity.note)) for quantity in self.invariants.values()
+            ),
+            recordings=tuple(replace(recording, file=new(recording.file)) for recording in self.recordings),
+            modal_response=response and replace(response, layers=tuple(layers)),
+        )
 
     def relative_gains(self, index: int | None = None) -> tuple[float, ...]:
         """Gains of the recordings in the path group of one, dB relative to it; `index` is the reference if None."""

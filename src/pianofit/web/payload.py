@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
+from ..dsp.filters import resample
 from ..errors import ParameterError
 from ..instrument import Instrument
 from ..instrument.key_quantities import reference_compression
-from ..model.modal_response import ModalResponse, resample
+from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate

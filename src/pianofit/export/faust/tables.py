@@ -15,8 +15,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve, resample_poly
+from scipy.signal import fftconvolve
 
+from ...dsp.filters import resample
 from ...instrument import Instrument
 from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
@@ -211,5 +212,5 @@ def _knock(
 def tabulate_knock(key: KeyTables, rate: int) -> LowRankSignals:
     """Knock of a key at a rate, Hz, that divides `RATE`, with zeros at both ends."""
     loud, u, shape = key.knock
-    shape = resample_poly(shape, 1, RATE // rate, axis=-1) if shape.size else shape
+    shape = resample(shape, RATE, rate) if shape.size else shape
     return _quantise_factors((loud, u, np.pad(shape, ((0, 0), (0, 0), (MARGIN, MARGIN)))), KNOCK_BITS)

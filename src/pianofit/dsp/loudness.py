@@ -1,9 +1,4 @@
-"""Log-mel distance of two sounds of one note.
-
-The distance is the mean over three parts of the note (attack, early, late) and over windows of three lengths. Each
-term is the rms difference of mel levels, dB. The weight of a cell is the larger of the two powers, to the power 0.3.
-The distance does not depend on a gain. Both sounds must begin at the same time.
-"""
+"""Loudness of a sound, and the log-mel distance of two sounds of one note."""
 
 from __future__ import annotations
 
@@ -11,9 +6,10 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import next_fast_len
 
-__all__ = ["AUDIBLE_RANGE_DB", "log_mel_distances", "mel_edges", "mel_power"]
+from .bands import fast_length
+
+__all__ = ["audible_floor", "k_weighted_mean_square", "log_mel_distances", "mel_edges", "mel_power"]
 
 # Parts of a note, s from its onset.
 NOTE_PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
@@ -21,25 +17,41 @@ NOTE_PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
 WINDOWS = ((0.012, 32), (0.046, 64), (0.186, 128))
 # Time between frames, s.
 HOP = 0.006
-# Cells this far below the loudest one, dB, are taken as inaudible.
-AUDIBLE_RANGE_DB = 60.0
 # Exponent of the power in the weight of a cell, approximately that of loudness.
 WEIGHT = 0.3
 # Range of the mel bands, Hz.
 LOWEST, HIGHEST = 30.0, 16_000.0
 
 
+def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
+    """Return the mean square of `samples` [..., samples] after the K-weighting of ITU-R BS.1770-4, annex 1.
+
+    Its two filters are analogue prototypes here, so they are the same at every rate.
+    """
+    power = np.mean(np.abs(np.fft.rfft(np.atleast_2d(samples))) ** 2, axis=0)
+    count = np.shape(samples)[-1]
+    s = 2j * np.pi * np.fft.rfftfreq(count, 1 / rate)
+    # Shelf: +4 dB above 1.7 kHz, the effect of the head.
+    w, q, high = 2 * np.pi * 1681.974, 0.7071752, 10 ** (3.999844 / 20)
+    shelf = (high * s**2 + high**0.4996668 * w / q * s + w**2) / (s**2 + w / q * s + w**2)
+    w, q = 2 * np.pi * 38.13547, 0.5003270
+    highpass = s**2 / (s**2 + w / q * s + w**2)
+    return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / count**2)
+
+
 def log_mel_distances(one: np.ndarray, others: Sequence[np.ndarray], rate: float, onset: int) -> list[float]:
     """Distances of one sound [samples] from each of `others` [samples], dB; all have their onset at index `onset`.
 
-    All sounds are cut to the length of the shortest.
+    The distance is the mean over three parts of the note (attack, early, late) and over windows of three lengths. Each
+    term is the rms difference of mel levels, dB. The weight of a cell is the larger of the two powers, to the power
+    0.3. The distance does not depend on a gain. All sounds are cut to the length of the shortest.
     """
     size = min(onset + round(NOTE_PARTS["late"][1] * rate), *map(len, (one, *others)))
     terms: list[dict[str, list[float]]] = [{name: [] for name in NOTE_PARTS} for _ in others]
     for length, bands in WINDOWS:
         n = 2 * round(length * rate / 2)
         time, p = mel_power(one[:size], rate, onset, n, bands)
-        floor = max(p.max(), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
+        floor = audible_floor(p)
         within = {name: (time >= start) & (time < stop) for name, (start, stop) in NOTE_PARTS.items()}
         for other, parts in zip(others, terms, strict=True):
             gain = np.sum(one[:size] ** 2) / max(np.sum(other[:size] ** 2), 1e-300)
@@ -53,6 +65,11 @@ def log_mel_distances(one: np.ndarray, others: Sequence[np.ndarray], rate: float
     return [float(np.mean([float(np.mean(values)) for values in parts.values() if values])) for parts in terms]
 
 
+def audible_floor(power: np.ndarray) -> float:
+    """Power below which a cell of a spectrogram is taken as inaudible: 60 dB below the loudest cell."""
+    return max(float(power.max()), 1e-30) * 10 ** (-60.0 / 10)
+
+
 def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tuple[np.ndarray, np.ndarray]:
     """Times of frames of `n` samples, s from the onset, and their power in mel bands [frames, bands]."""
     hop = round(HOP * rate)
@@ -61,7 +78,7 @@ def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tup
     count = max((len(x) - first - n) // hop, 1)
     frames = np.lib.stride_tricks.sliding_window_view(x, n)[first : first + count * hop : hop]
     window = np.hanning(n + 1)[:-1]
-    size = next_fast_len(n, real=True)
+    size = fast_length(n)
     spectrum = np.fft.rfft(frames * window, size)
     power = (spectrum.real**2 + spectrum.imag**2) / window.sum() ** 2
     return np.arange(len(frames)) * hop / rate, power @ _mel_filters(n, size, bands, rate).T

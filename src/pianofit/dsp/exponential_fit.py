@@ -1,8 +1,9 @@
-"""One damped exponential per partial, by least squares.
+"""One damped exponential per signal, by least squares.
 
 For `z(t) = a exp(st)` in white circular noise the least-squares solution is the maximum-likelihood one. It reaches the
 Cramér–Rao bound. The model is analytic in a and s, so Gauss–Newton runs in complex numbers. With a eliminated
-(variable projection, Golub and Pereyra 1973) a step is one quotient. All partials are stepped at once.
+(variable projection, Golub and Pereyra 1973) a step is one quotient. All signals are stepped at once.
+`dsp/common_poles.py` fits several exponentials to signals that share them.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dsp.damped_powers import powers
+from .damped_sums import powers
 
-__all__ = ["Exponentials", "fit_exponentials", "autocorrelation_poles"]
+__all__ = ["Exponentials", "autocorrelation_poles", "fit_exponentials"]
 
 
 @dataclass(frozen=True)
@@ -74,33 +75,23 @@ def fit_exponentials(
         return np.clip(near.real, lowest, highest) + 1j * near.imag
 
     pole, factor = limited(start), np.ones(len(z))
-    update, cost = np.zeros(len(z), complex), np.full(len(z), np.inf)
-    best: list[np.ndarray] = []
+    amplitude, update, cost = np.zeros(len(z), complex), np.zeros(len(z), complex), np.full(len(z), np.inf)
     for _ in range(steps + 1):
         trial = limited(np.asarray(pole + factor * update, complex))
         wave = powers(trial * step, len(t))
-        sums = _sums(wave, tau)
-        amplitude = np.einsum("ij,ij->i", wave.conj(), z) / sums[0]
-        residual = z - amplitude[:, None] * wave
-        trial_cost = np.einsum("ij,ij->i", residual.conj(), residual).real
-        slope = np.einsum("ij,ij->i", wave.conj(), residual * tau) / (sums[2] - sums[1] ** 2 / sums[0])
-        better = trial_cost <= cost
-        newton = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
-        current = [trial, amplitude, trial_cost, newton]
-        best = current if not best else [np.where(better, new, old) for new, old in zip(current, best, strict=True)]
-        pole, cost, update = best[0], best[2], best[3]
+        size = wave.real**2 + wave.imag**2
+        s0, s1, s2 = size @ np.ones_like(tau), size @ tau, size @ tau**2
+        own = np.einsum("ij,ij->i", wave.conj(), z) / s0
+        residual = z - own[:, None] * wave
+        misfit = np.einsum("ij,ij->i", residual.conj(), residual).real
+        slope = np.einsum("ij,ij->i", wave.conj(), residual * tau) / (s2 - s1**2 / s0)
+        newton = np.where(own == 0, 0, slope / np.where(own == 0, 1, own))
+        better = misfit <= cost
+        pole, amplitude, cost, update = (
+            np.where(better, new, old)
+            for new, old in ((trial, pole), (own, amplitude), (misfit, cost), (newton, update))
+        )
         factor = np.where(better, 1.0, factor / 2)
         if np.max(np.abs(update)) < 1e-10 / span:
             break
-    return _exponentials(best, t[0], z)
-
-
-def _sums(wave: NDArray[np.complex128], tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Σ|w|² τ^n for n = 0, 1, 2; [rows] each."""
-    size = wave.real**2 + wave.imag**2
-    return size @ np.ones_like(tau), size @ tau, size @ tau**2
-
-
-def _exponentials(best: list[np.ndarray], origin: float, z: NDArray[np.complex128]) -> Exponentials:
-    pole, amplitude, cost = best[:3]
-    return Exponentials(amplitude, pole, cost / z.shape[1], np.mean(z.real**2 + z.imag**2, axis=1), origin)
+    return Exponentials(amplitude, pole, cost / z.shape[1], np.mean(z.real**2 + z.imag**2, axis=1), t[0])

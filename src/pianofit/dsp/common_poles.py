@@ -1,8 +1,12 @@
-"""Damped modes common to several signals: a subspace estimate, refined by variable projection.
+"""Poles of damped exponentials: a subspace estimate, refined by variable projection.
 
-All signals share their poles. Each signal has its own amplitudes. The initial poles come from ESPRIT (Roy and Kailath
-1989) on the sum of the signals' Hankel covariances. The refinement projects the amplitudes out (Golub and Pereyra 1973,
-with Kaufman's Jacobian) and minimises the residual of all signals by Levenberg-Marquardt steps.
+ESPRIT (Roy and Kailath 1989) finds poles without starting values. The signal subspace of a Hankel matrix is shift
+invariant, and the eigenvalues of that shift are the poles. It resolves components that a Fourier transform of that
+length cannot.
+
+Several signals can share their poles, each with its own amplitudes. The subspace is then that of the sum of their
+Hankel covariances. The refinement projects the amplitudes out (Golub and Pereyra 1973, with Kaufman's Jacobian) and
+minimises the residual of all signals by Levenberg-Marquardt steps.
 """
 
 from __future__ import annotations
@@ -11,23 +15,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
 
-__all__ = ["Signals", "fit_amplitudes", "poles_by_subspace", "refine_poles", "standard_errors"]
+__all__ = ["Signals", "fit_amplitudes", "poles_by_subspace", "refine_poles", "shift_poles", "standard_errors"]
 
 # Samples of a signal that the subspace and the refinement use. A few poles gain nothing from more.
 SAMPLES_USED = 240
 # Samples of a signal per column of its Hankel matrix. The error of poles is least between one third and two thirds of
 # the samples as columns (Hua and Sarkar 1990), and one third is cheapest.
 SAMPLES_A_COLUMN = 3
-# Fewest columns of a Hankel matrix.
-LEAST_COLUMNS = 6
-# Largest number of refinement steps. The refinement stops when a step reduces the cost by less than this share.
-STEPS = 12
-TOLERANCE = 1e-4
-# Levenberg-Marquardt damping: the first value, and the value at which the refinement stops.
-DAMPING = 1e-3
-LARGEST_DAMPING = 1e6
 # Singular values of the exponentials below this share of the largest cannot be resolved in a signal.
 RANK = 3e-3
 # The same threshold where only the direction of a step depends on it.
@@ -57,6 +52,12 @@ class Signals(NamedTuple):
         return (self.weight > 0).sum(axis=-1)
 
 
+def shift_poles(subspace: np.ndarray, step: float) -> np.ndarray:
+    """Poles, 1/s [..., modes], of the signal subspaces [..., rows, modes] of Hankel matrices with this step, s."""
+    shift = np.linalg.pinv(subspace[..., :-1, :]) @ subspace[..., 1:, :]
+    return np.log(np.linalg.eigvals(shift)) / step
+
+
 def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int], lift: float) -> dict[int, np.ndarray]:
     """Poles, 1/s, for every order that the lengths of the signals permit.
 
@@ -65,21 +66,17 @@ def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int]
     scale : scale of each signal [signals]. Its covariance is divided by the square.
     lift : 1/s. Signals are multiplied by exp(lift t), which raises the weight of slowly decaying modes.
     """
+    from scipy.linalg import eigh
+
     thin = signals.decimated()
-    columns = max(LEAST_COLUMNS, thin.values.shape[-1] // SAMPLES_A_COLUMN)
+    columns = max(6, thin.values.shape[-1] // SAMPLES_A_COLUMN)
     lifted = thin.values * np.exp(lift * thin.time) / scale[:, None]
     usable = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
     highest = min(max(orders), columns - 3)
     if not usable or highest < 1:
         return {}
     basis = eigh(_hankel_covariance(usable, columns), subset_by_index=[columns - highest, columns - 1])[1]
-    poles = {}
-    for order in orders:
-        if order <= highest:
-            u = basis[:, -order:]
-            z = np.linalg.eigvals(np.linalg.pinv(u[:-1]) @ u[1:])
-            poles[order] = np.log(z) / thin.step - lift
-    return poles
+    return {order: shift_poles(basis[:, -order:], thin.step) - lift for order in orders if order <= highest}
 
 
 def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarray:
@@ -99,35 +96,31 @@ def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarra
     return covariance
 
 
-def _inverse(v: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal columns Q of v = Q R, and the pseudo-inverse of R."""
+def _inverse(v: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Orthonormal columns Q of v = Q R, its adjoint, and the pseudo-inverse of R."""
     q, r = np.linalg.qr(v)
-    return q, np.linalg.pinv(r, rcond=rank)
-
-
-def _adjoint(q: np.ndarray) -> np.ndarray:
-    return q.conj().swapaxes(-1, -2)
+    return q, q.conj().swapaxes(-1, -2), np.linalg.pinv(r, rcond=rank)
 
 
 def fit_amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
     """Amplitudes in every signal at its first sample, by weighted least squares [signals, modes]."""
     v = np.exp(np.outer(signals.time, pole))
     scale = np.linalg.norm(v, axis=0)
-    q, inverse = _inverse(signals.weight[..., None] * (v / scale), RANK)
-    return (inverse @ (_adjoint(q) @ (signals.values * signals.weight)[..., None]))[..., 0] / scale
+    _, adjoint, inverse = _inverse(signals.weight[..., None] * (v / scale), RANK)
+    return (inverse @ (adjoint @ (signals.values * signals.weight)[..., None]))[..., 0] / scale
 
 
 def _residual_and_jacobian(pole: np.ndarray, signals: Signals) -> tuple[float, np.ndarray, np.ndarray]:
     """Cost, residual r [all samples] and Kaufman's Jacobian of -r with respect to the poles [all samples, modes]."""
     time = signals.time
     v = np.exp(np.outer(time, pole)) * signals.weight[..., None]
-    q, inverse = _inverse(v, STEP_RANK)
+    q, adjoint, inverse = _inverse(v, STEP_RANK)
     y = (signals.values * signals.weight)[..., None]
-    projected = _adjoint(q) @ y
+    projected = adjoint @ y
     derivative = time[:, None] * v * (inverse @ projected).swapaxes(-1, -2)
     normalisation = 1 / np.sqrt(signals.length)[:, None, None]
     residual = ((y - q @ projected) * normalisation).ravel()
-    jacobian = ((derivative - q @ (_adjoint(q) @ derivative)) * normalisation).reshape(-1, len(pole))
+    jacobian = ((derivative - q @ (adjoint @ derivative)) * normalisation).reshape(-1, len(pole))
     return float(np.vdot(residual, residual).real), residual, jacobian
 
 
@@ -136,22 +129,22 @@ def refine_poles(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray],
 
     The weight of a signal does not depend on its length.
     """
-    thin, damping = signals.decimated(), DAMPING
+    thin, damping = signals.decimated(), 1e-3
     cost, residual, jacobian = _residual_and_jacobian(pole, thin)
-    for _ in range(STEPS):
+    for _ in range(12):
         curvature = jacobian.conj().T @ jacobian
         damped = curvature + damping * np.diag(np.real(np.diag(curvature)) + 1e-12)
         trial = box(pole + np.linalg.solve(damped, jacobian.conj().T @ residual))
         trial_cost, trial_residual, trial_jacobian = _residual_and_jacobian(trial, thin)
         if trial_cost < cost:
-            converged = cost - trial_cost < TOLERANCE * cost
+            converged = cost - trial_cost < 1e-4 * cost
             pole, cost, residual, jacobian = trial, trial_cost, trial_residual, trial_jacobian
             damping /= 5
             if converged:
                 break
         else:
             damping *= 8
-            if damping > LARGEST_DAMPING:
+            if damping > 1e6:
                 break
     return pole
 

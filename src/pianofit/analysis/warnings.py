@@ -1,0 +1,127 @@
+"""Warnings of an analysis: the pitch, B, beats, a second stroke.
+
+Beats raise some partials and lower others, a hammer raises all at once. In 58 real recordings of single strokes the
+median partial rises by at most 3 dB from one window of the bands to the next. In 54 of 75 recordings with a second
+stroke it rises by more than 6 dB. The others are soft strokes shortly after the first, on bass notes that still ring.
+Noises of the player or the room also raise many partials at once, but far below the initial level of the note.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..conversions import BEATING_DB
+from .analysis_result import Partials
+from .baseband_fit import FittedBands
+from .glide import LEAST_GLIDE
+from .inharmonicity import B_RANGE, DecayLaw, FrequencyLaw
+from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
+from .partials import LEAST_DECAY
+
+__all__ = ["analysis_warnings", "beating_warning", "count_beating", "detect_second_stroke"]
+
+# Smallest number of partials that must rise: fewer may beat together.
+FEWEST = 4
+# dB relative to the initial level; partials that rise to a lower level were not struck. A squeak of a guitar string
+# reaches -66, a second stroke of a tenth of the amplitude -20.
+FAINTEST = -40.0
+
+
+def detect_second_stroke(fitted: FittedBands) -> float | None:
+    """Time of the second stroke, s after the onset, within half a window; None if there is none."""
+    bands, z = fitted.bands, fitted.z
+    lag = max(1, round(bands.window * bands.rate))
+    if len(z) < FEWEST or z.shape[1] <= lag:
+        return None
+    floor = 4.0 * fitted.frame_noise[:, None]  # variations below it do not count
+    level = 10 * np.log10(np.maximum(np.abs(z) ** 2, floor))
+    rise = level[:, lag:] - level[:, :-lag]
+    typical_rise = np.quantile(rise, 1 - max(0.5, FEWEST / len(z)), axis=0)
+    at = int(np.argmax(typical_rise))
+    raised = rise[:, at] > 6.0
+    if typical_rise[at] <= 6.0 or np.median((level[:, lag + at] - level[:, : lag + 1].max(axis=1))[raised]) < FAINTEST:
+        return None
+    return float(bands.time[at] + bands.window / 2)
+
+
+def analysis_warnings(
+    note: str | int | None,
+    law: FrequencyLaw,
+    losses: DecayLaw,
+    table: Partials,
+    glide_cents: float,
+    second_stroke_s: float | None,
+) -> tuple[str, ...]:
+    """All warnings of an analysis.
+
+    Parameters
+    ----------
+    note : the given note
+    glide_cents : fall of the pitch; 0 if it is not significant
+    second_stroke_s : time of a second stroke, s
+    """
+    warnings = [_wrong_note(note, law.f0), _bound(law)]
+    if second_stroke_s is not None:
+        warnings.append(
+            f"most partials rise again about {second_stroke_s:.2f} s after the onset: a second stroke changes the "
+            "results; give a file of one stroke"
+        )
+    if len(table) == 1:
+        warnings.append("only one partial detected: B is assumed, f0 depends on it, the losses are poorly determined")
+    elif len(table) == 2:
+        warnings.append("only 2 partials detected: B and the losses are poorly determined")
+    if np.mean(table.decay <= LEAST_DECAY) > 0.5:
+        warnings.append(
+            "most partials do not decay, so their decay rates are at the lower bound: a looped, reversed or compressed "
+            "sound does not determine the losses"
+        )
+    if abs(glide_cents) > LEAST_GLIDE:
+        warnings.append(
+            f"the pitch {'falls' if glide_cents > 0 else 'rises'} by {abs(glide_cents):.1f} cents as the note decays"
+        )
+    warnings.append(beating_warning(table))
+    if losses.d2 < 2 * losses.d2_error and len(table) > 1:
+        warnings.append("the decay rates do not determine how losses rise with frequency (d2 is not measurable)")
+    return tuple(filter(None, warnings))
+
+
+def _wrong_note(note: str | int | None, f0: float) -> str:
+    """The warning of a recording whose pitch lies nearer to another key than to the given note."""
+    cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
+    if note is None or abs(cents) <= 50:
+        return ""
+    name, side = midi_to_note(note_to_midi(note)), "above" if cents > 0 else "below"
+    return (
+        f"the pitch lies {abs(cents):.0f} cents {side} {name}, nearer to {hz_to_note(f0)}: check the note's name, or "
+        "how the instrument is tuned"
+    )
+
+
+def _bound(law: FrequencyLaw) -> str:
+    """The warning of a B at either end of the searched range."""
+    if not np.isfinite(law.B_error) or law.B not in B_RANGE:
+        return ""
+    if B_RANGE[1] == law.B:
+        remark = f"upper bound, {law.B:g}: check the note (--note), and that the partials belong to one string"
+    else:
+        remark = (
+            f"lower bound, {law.B:g}: the partials are harmonic, and those of a stiff string are not; "
+            "check that the recording holds one string without effects"
+        )
+    return f"B is at its {remark}"
+
+
+def count_beating(table: Partials) -> int:
+    """Number of partials whose log envelope deviates from one exponential by more than `BEATING_DB`."""
+    return int(np.sum(table.beating > BEATING_DB))
+
+
+def beating_warning(table: Partials) -> str:
+    """The warning of a recording whose partials beat; empty if none do."""
+    deep = count_beating(table)
+    if not deep:
+        return ""
+    return (
+        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEATING_DB:g} dB: several "
+        "strings or polarisations beat, or the note was damped or cut"
+    )
