@@ -155,13 +155,9 @@ def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
     i, u = posed().reported_parameters[name], posed().parametrisation
     mean, sd = fitted().posterior.mean[0, i], fitted().posterior.covariance[0, i, i] ** 0.5
     bound = mean + sd
-    if i == FORCE:
-        bounded = replace(u, stiffness=(u.stiffness[0], bound))
-    else:
-        upper = u.upper.copy()
-        upper[i] = bound
-        bounded = replace(u, upper=upper)
-    profile = _Profile(replace(posed(), parametrisation=bounded), fitted())
+    upper = u.upper.copy()
+    upper[i] = bound
+    profile = _Profile(replace(posed(), parametrisation=replace(u, upper=upper)), fitted())
     branch = profile.trace_branch(i, 1.0)
     assert branch.open
     assert branch.end == bound

@@ -129,7 +129,7 @@ def _by_theta(point: _Point, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarr
     table, s, weight, sensitivity, mills = point
     p, size = s.factors, jacobian.shape[-1]
     flat = jacobian.reshape(-1, size)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, np.moveaxis(jacobian, -1, 0))
+    before = before_columns(table, p, np.moveaxis(jacobian, -1, 0))
     through = p.U.reshape(*p.U.shape[:3], -1) @ flat
     moved = sensitivity.reshape(*sensitivity.shape[:3], len(flat)) @ flat
     moved -= jacobian[table.censored[:, 0], table.censored[:, 1]]
@@ -198,11 +198,11 @@ def latent_posterior(table: ObservationTable, residual: np.ndarray, phi: np.ndar
     s = solve_nodes(table, residual, phi, w)
     weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
-    mean = path_mean(table, p.relative_precision, residual - columns)
+    mean = path_mean(table, p, residual - columns)
     common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
     own = residual - table.group @ common - columns
     entries = np.argwhere(np.ones(residual.shape))
-    posterior_variance = predicted(table, p, path_mean(table, p.relative_precision, residual), s.q, entries).variance
+    posterior_variance = predicted(table, p, path_mean(table, p, residual), s.q, entries).variance
     posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
     return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, posterior_variance)))
 
@@ -211,7 +211,7 @@ def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
     """C⁻¹ of all entries at every node, 0 where no partial was detected [T, M, RK, RK]."""
     shape, count = p.precision.shape, p.precision.size
     unit = np.eye(count).reshape(count, *shape)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, unit).reshape(-1, 1, count, count)
+    before = before_columns(table, p, unit).reshape(-1, 1, count, count)
     u = p.U.reshape(*p.U.shape[:3], count)
     return before - u.swapaxes(2, 3) @ u
 

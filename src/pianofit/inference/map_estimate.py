@@ -16,7 +16,7 @@ from ..setup import Setup
 from ..threads import one_blas_thread
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
-from .multistart import NO_HAMMER, deduplicate, multistart, rescan_velocities
+from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
 from .objective import Candidates, Objective, QuadraticSurrogate
 from .optimiser import Options, minimise, predicted_decrease
 from .parametrisation import STRING_SIZE
@@ -110,7 +110,7 @@ class InferenceResult:
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
         surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
         hammers = fixed.project(np.stack([self.initial_theta, theta]))
-        starts = np.concatenate(rescan_velocities(objective, hammers, surrogates, offset))
+        starts = np.concatenate(rank_hammers(objective, hammers, FINE_VELOCITIES, surrogates, offset))
         starts = objective.start(starts, [phi], offset=offset)
         candidates = minimise(objective, starts, Options(REFERENCE_STEPS, REFERENCE_GAIN))
         if not len(candidates):

@@ -207,9 +207,8 @@ class DensityContext(NamedTuple):
 
     theta: Any  # [size]
     root: Any  # from whitened coordinates to θ [size, free]
-    bounds: tuple[Any, Any]  # [size] each
+    bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
     power: Any  # index of the force and of the exponent; None for a law without a power
-    stiffness: Any  # lowest and highest log K_H
     log_u: Any
     prior: tuple[Any, Any]  # mean and precision [size]
     tables: tuple[ObservationTable, ...]
@@ -234,7 +233,6 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         _whitening_root(problem, estimate),
         (u.lower, u.upper),
         u.force_and_exponent_index,
-        np.array(u.stiffness),
         u.log_reference_compression,
         (u.mean, u.precision),
         tables,
@@ -260,7 +258,10 @@ def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     at_bound = u.at_bound(estimate.theta)[free]
     covariance = (tangent @ estimate.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
     covariance = np.where(at_bound[:, None] | at_bound, 0.0, covariance)
-    wide = np.minimum(u.sd, RANGE_FRACTION * (u.upper - u.lower))[free]
+    span = u.upper - u.lower
+    if u.force_and_exponent_index:
+        span[u.force_and_exponent_index[0]] = np.inf
+    wide = np.minimum(u.sd, RANGE_FRACTION * span)[free]
     scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), wide**2))
     correlation = covariance / np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
@@ -278,7 +279,7 @@ def reflect_into_bounds(at: DensityContext, whitened):
         return reflected
     i, p = at.power
     shift = jnp.exp(reflected[p]) * at.log_u
-    force = _reflect(theta[i], at.stiffness[0] + shift, at.stiffness[1] + shift)
+    force = _reflect(theta[i], at.bounds[0][i] + shift, at.bounds[1][i] + shift)
     return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
 
 

@@ -125,6 +125,11 @@ class InitialValues:
     user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
     law: FeltLaw = DEFAULT_LAW
 
+    @property
+    def unknown_path(self) -> bool:
+        """True if an unknown path lies between the bridge and the file."""
+        return self.scale is None and self.quantity == "pressure"
+
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> InitialValues:
     """Combine analysis, setup and literature.
