@@ -14,7 +14,7 @@ from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
 from pianofit.inference.batched_model import LevelModel
-from pianofit.inference.map_estimate import _deduplicate, fit_string, refine_minima
+from pianofit.inference.estimate import _deduplicate, fit_string, refine_minima
 from pianofit.inference.multistart import (
     FINE_VELOCITIES,
     VELOCITIES,

@@ -27,8 +27,8 @@ from pianofit.inference import (
     map_estimate,
     nuts,
 )
+from pianofit.inference.estimate import compute_intervals
 from pianofit.inference.laplace import laplace, unbounded_warnings
-from pianofit.inference.map_estimate import compute_intervals
 from pianofit.inference.nuts import density_context, log_density, random_start, reflect_into_bounds
 from pianofit.inference.objective import Objective
 from pianofit.inference.optimiser import Options, minimise

@@ -8,8 +8,8 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 from __future__ import annotations
 
 from ..progress import Progress
+from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
-from .map_estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .multistart import NO_HAMMER
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, simulation_grid
