@@ -197,14 +197,10 @@ def _precision(objective: Objective, candidates: Candidates, i: int) -> tuple[np
 
 def unbounded_warnings(intervals: Mapping[str, Interval]) -> list[str]:
     """Messages that name the intervals with an end at a search bound."""
-    both = [name for name, interval in intervals.items() if len(interval.unbounded) == 2]
-    messages = (
-        [f"The recordings do not bound {', '.join(both)}: the interval is the whole search range."] if both else []
-    )
-    for word, which in (("low", "below"), ("high", "above")):
-        names = [name for name, interval in intervals.items() if interval.unbounded == (word,)]
-        if names:
-            messages.append(
-                f"The recordings do not bound {', '.join(names)} {which}: the interval ends at the search bound."
-            )
-    return messages
+    endings = {
+        ("low", "high"): ": the interval is the whole search range",
+        ("low",): " below: the interval ends at the search bound",
+        ("high",): " above: the interval ends at the search bound",
+    }
+    named = {side: [name for name, one in intervals.items() if one.unbounded == side] for side in endings}
+    return [f"The recordings do not bound {', '.join(named[side])}{endings[side]}." for side in endings if named[side]]

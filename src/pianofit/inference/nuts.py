@@ -107,19 +107,18 @@ def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> Inte
 
 def _observed(at: DensityContext, problem: FitProblem) -> dict[str, ObservedValues]:
     """The observations, in the order of `log_likelihood`."""
-    o, (level, *strings) = problem.observed, [np.asarray(table.value) for table in at.tables]
+    level, *strings = [np.asarray(table.value) for table in at.tables]
+    number, string_number = problem.observed.number, problem.observed.string_number
 
     def of_levels(entries: np.ndarray) -> ObservedValues:
-        row, column = np.asarray(entries).reshape(-1, 2).T
-        return ObservedValues(level[row, column], row + 1, o.number[column])
-
-    def of_string(value: np.ndarray, entries: np.ndarray) -> ObservedValues:
         row, column = entries.T
-        return ObservedValues(value[row, column], 0 * row, o.string_number[column])
+        return ObservedValues(level[row, column], row + 1, number[column])
 
-    frequency, decay = map(of_string, strings, at.detected[1:])
-    levels, absent = of_levels(at.detected[0]), of_levels(at.tables[0].censored)
-    return {"level": levels, "frequency": frequency, "decay": decay, "absent": absent}
+    found = {"level": of_levels(at.detected[0])}
+    for kind, value, entries in zip(("frequency", "decay"), strings, at.detected[1:], strict=True):
+        row, column = entries.T
+        found[kind] = ObservedValues(value[row, column], 0 * row, string_number[column])
+    return found | {"absent": of_levels(np.asarray(at.tables[0].censored).reshape(-1, 2))}
 
 
 def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):

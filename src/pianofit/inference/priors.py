@@ -138,11 +138,9 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     ----------
     velocity : measured hammer velocity, m/s. It overrides the setup's.
     """
-    midi = midi_of(analysis.f0)
-    key = float(np.clip(midi, 21, 108))
+    key = float(np.clip(midi_of(analysis.f0), 21, 108))
     preset, law = typical(key), setup.law
     geometry, assumed = _geometry(setup, preset.geometry)
-    calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
     _check_pitch(analysis, setup, geometry.length)
     hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
@@ -153,20 +151,18 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
     if measured is not None:
         values["v_H0"], fixed["v_H0"] = measured, "fixed"
-    elif not calibrated and "v_H0" not in fixed:
+    elif setup.pickup_scale is None and "v_H0" not in fixed:
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    fixed |= {
-        name: "fixed"
-        for name in ALL_PARAMETERS
-        if name in law.columns and name not in (*law.parameters, *COMMON_PARAMETERS)
-    }
+    absent = {*ALL_PARAMETERS} & {*law.columns} - {*law.parameters, *COMMON_PARAMETERS}
+    fixed |= {name: "fixed" for name in ALL_PARAMETERS if name in absent}
     ranges = ALL_PARAMETERS | law.hammer_parameters
     for name in set(values) & set(ranges):
-        parameter = ranges[name]
-        low, high = setup.bounds.get(name, (parameter.lower, parameter.upper))
+        low, high = setup.bounds.get(name, (ranges[name].lower, ranges[name].upper))
         values[name] = min(max(values[name], low), high)
+    # A user's law may use the literature's names for other quantities.
+    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
     return InitialValues(
         values=values,
         initial=values | setup.initial,
@@ -177,10 +173,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
-        # A user's law may use the literature's names for other quantities.
-        reference_hammer=Hammer(
-            **hammer | {name: values[name] for name in (COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES)}
-        ),
+        reference_hammer=Hammer(**hammer | {name: values[name] for name in shared}),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
     )
@@ -230,9 +223,5 @@ def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
 
 
 def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
-    assumptions: dict[str, tuple[str, ...]] = {}
-    if "length" in assumed:
-        assumptions |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
-    if "mass" in assumed:
-        assumptions |= dict.fromkeys((*law.parameters_with_unit("N"), "M_H"), ("mass",))
-    return assumptions
+    scaled = {"length": ("c", "kappa", "b2", "x0"), "mass": (*law.parameters_with_unit("N"), "M_H")}
+    return {name: (size,) for size, names in scaled.items() if size in assumed for name in names}
