@@ -14,6 +14,7 @@ from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
+from .batched_model import LevelModel
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
@@ -87,7 +88,7 @@ class InferenceResult:
 
     def level(self, theta: np.ndarray) -> np.ndarray:
         """Levels of the model at `theta` [size], dB [R, K]."""
-        return Objective.complete(self.problem).level_model.level_jacobians(theta[None])[0][0]
+        return LevelModel(self.problem).level_jacobians(theta[None])[0][0]
 
     def latent(self, minimum: int) -> LatentPosterior:
         """Posterior means of what F integrates out of the levels, at one minimum: paths, columns and residuals."""

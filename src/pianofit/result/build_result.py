@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis import cents_above
-from ..inference import InferenceResult, Interval, IntervalResult, Posterior
-from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, Interval, IntervalResult, Posterior
 from ..model.note import Note
 from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..inference import FitProblem, InferenceResult, priors
-from ..inference.parametrisation import STRING_SIZE
+from ..inference import STRING_SIZE, FitProblem, InferenceResult, priors
 from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from .remarks import mixed_format_warnings, recording_warnings
