@@ -10,7 +10,7 @@ import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
 from pianofit.inference import build_problem, observation_tables, priors
 from pianofit.inference.batched_model import string_law
-from pianofit.inference.map_estimate import fit_string
+from pianofit.inference.estimate import fit_string
 from pianofit.inference.observation_tables import RecordingStructure, observe
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)

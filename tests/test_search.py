@@ -14,13 +14,15 @@ from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
 from pianofit.inference.batched_model import LevelModel
-from pianofit.inference.map_estimate import _deduplicate, fit_string, refine_minima
+from pianofit.inference.estimate import _deduplicate, fit_string, refine_minima
 from pianofit.inference.multistart import (
+    FINE_VELOCITIES,
+    VELOCITIES,
     deduplicate,
     initial_hyperparameters,
     multistart,
-    prescreen,
-    rescan_velocities,
+    rank_hammers,
+    sobol_samples,
 )
 from pianofit.inference.objective import Objective, QuadraticSurrogate
 from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
@@ -64,7 +66,7 @@ def surrogate() -> QuadraticSurrogate:
 
 def samples(objective: Objective, count: int) -> np.ndarray:
     """The best prescreened hammers [count, size]."""
-    return prescreen(objective, 3, [surrogate()])[0][:count]
+    return rank_hammers(objective, sobol_samples(objective, 3), VELOCITIES, [surrogate()])[0][:count]
 
 
 def test_the_string_is_read_off_its_partials():
@@ -305,5 +307,5 @@ def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     for factor in (0.2, 0.5, 3.0):
         away = theta.copy()
         away[at] += np.log(factor)
-        rescanned = rescan_velocities(of_levels(), away[None], [surrogate()])[0]
+        rescanned = rank_hammers(of_levels(), away[None], FINE_VELOCITIES, [surrogate()])[0]
         assert rescanned[0, at] == pytest.approx(theta[at], abs=0.01)

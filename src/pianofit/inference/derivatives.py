@@ -39,10 +39,6 @@ from .likelihood import (
     variance,
 )
 
-# Step of the differences of F's exact gradient by φ.
-STEP = 1e-4
-# Curvatures by φ and log w below this fraction of the largest are rounding.
-FLOOR = 1e-8
 # A negative eigenvalue of the curvature above this is not rounding, relative to the curvature with φ and w fixed.
 NEGATIVE = 1e-3
 
@@ -129,7 +125,7 @@ def _by_theta(point: _Point, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarr
     table, s, weight, sensitivity, mills = point
     p, size = s.factors, jacobian.shape[-1]
     flat = jacobian.reshape(-1, size)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, np.moveaxis(jacobian, -1, 0))
+    before = before_columns(table, p, np.moveaxis(jacobian, -1, 0))
     through = p.U.reshape(*p.U.shape[:3], -1) @ flat
     moved = sensitivity.reshape(*sensitivity.shape[:3], len(flat)) @ flat
     moved -= jacobian[table.censored[:, 0], table.censored[:, 1]]
@@ -198,11 +194,11 @@ def latent_posterior(table: ObservationTable, residual: np.ndarray, phi: np.ndar
     s = solve_nodes(table, residual, phi, w)
     weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
-    mean = path_mean(table, p.relative_precision, residual - columns)
+    mean = path_mean(table, p, residual - columns)
     common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
     own = residual - table.group @ common - columns
     entries = np.argwhere(np.ones(residual.shape))
-    posterior_variance = predicted(table, p, path_mean(table, p.relative_precision, residual), s.q, entries).variance
+    posterior_variance = predicted(table, p, path_mean(table, p, residual), s.q, entries).variance
     posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
     return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, posterior_variance)))
 
@@ -211,7 +207,7 @@ def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
     """C⁻¹ of all entries at every node, 0 where no partial was detected [T, M, RK, RK]."""
     shape, count = p.precision.shape, p.precision.size
     unit = np.eye(count).reshape(count, *shape)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, unit).reshape(-1, 1, count, count)
+    before = before_columns(table, p, unit).reshape(-1, 1, count, count)
     u = p.U.reshape(*p.U.shape[:3], count)
     return before - u.swapaxes(2, 3) @ u
 
@@ -223,17 +219,17 @@ def marginalise_nuisances(
 
     The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton.
     """
-    detected = np.asarray(table.detected) > 0
+    detected, step = np.asarray(table.detected) > 0, 1e-4
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
     r, J, ws = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w))
-    found = evaluate_batch(table, r, J, phi + STEP * np.eye(hyper + 1, len(phi), -1), ws)
+    found = evaluate_batch(table, r, J, phi + step * np.eye(hyper + 1, len(phi), -1), ws)
     curvature = found.curvature[0]
-    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / STEP
-    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / STEP
-    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / STEP, cross])
+    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / step
+    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / step, cross])
     nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
     value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
-    value = np.maximum(value, FLOOR * value.max())
+    value = np.maximum(value, 1e-8 * value.max())  # smaller ones are rounding
     projected = vector.T @ cross
     marginal = curvature - (projected / value[:, None]).T @ projected
     # In units in which each parameter's own curvature is 1: with clean recordings they differ by decades.

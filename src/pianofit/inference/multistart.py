@@ -21,7 +21,7 @@ from .likelihood import ObservationTable
 from .objective import Candidates, Objective, QuadraticSurrogate
 from .optimiser import Options, minimise
 from .parametrisation import STRING_SIZE, Parametrisation
-from .problem import FitProblem
+from .problem import FitProblem, brightness
 
 # Samples of the prior's hammers: a power of two, as Sobol points require.
 SAMPLES = 1024
@@ -37,10 +37,6 @@ WIDE_EXCESS = 2.0
 FASTEST = 4.0
 # and the factor from stroke to stroke, for layers far apart and for layers close together.
 FACTORS = (0.5, 0.75)
-# Hammers per core at a time: their data fit its cache.
-BLOCK = 64
-# Cost of a contact that does not end.
-ENDLESS = 1e6
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
@@ -70,6 +66,8 @@ TRIAL = 6
 GOING = 2
 # Minima closer than this in every parameter, in the prior's standard deviations, are the same.
 SAME = 0.02
+# θ [points, size] from the best candidate and the surrogate there.
+Points = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 
 
@@ -85,48 +83,35 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     FitError
         If no hammer gives a finite sound.
     """
-    table, u = objective.problem.observed.level, objective.problem.parametrisation
+    table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
     # Before a hammer is known, it is open whether recordings share a gain: each answer has its own hammers.
-    nodes = range(len(table.scale))
-    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in nodes]
+    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
+    fixed = [objective.with_surrogate(surrogate) for surrogate in surrogates]
 
     def minimised(starts: Sequence[np.ndarray]) -> Candidates:
         """Minimise the candidates [S, size] of every surrogate on that surrogate, and join them."""
-        replaced = [objective.with_surrogate(surrogate) for surrogate in surrogates]
-        ends = [
-            minimise(each, each.start(theta, [phi]), Options(FIRST_STEPS))
-            for theta, each in zip(starts, replaced, strict=True)
-        ]
+        ends = [minimise(f, f.start(x, [phi]), Options(FIRST_STEPS)) for f, x in zip(fixed, starts, strict=True)]
         return functools.reduce(Candidates.join, ends)
 
-    samples = prescreen(objective, seed, surrogates)
+    samples = rank_hammers(objective, sobol_samples(objective, seed), VELOCITIES, surrogates)
     candidates = minimised([np.concatenate([first[None], theta[:FIRST]]) for theta in samples])
     if not len(candidates):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    rescanned = rescan_velocities(objective, _survivors(objective, candidates).theta, surrogates)
-    candidates = candidates.join(minimised(rescanned))
+    survivors = _survivors(objective, candidates).theta
+    candidates = candidates.join(minimised(rank_hammers(objective, survivors, FINE_VELOCITIES, surrogates)))
     progress("hammer", 0.4)
-    candidates = _continued(
-        objective, _survivors(objective, candidates), Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
-    )
+    above_floor = Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
+    candidates = _continued(objective, _survivors(objective, candidates), above_floor)
     progress("hammer", 0.5)
     candidates = _continued(objective, _survivors(objective, candidates, NEAR), Options(LAST_STEPS))
     progress("restarts", 0.6)
-    random = np.random.default_rng(seed)
+    kinds = _kinds_of_restart(objective, np.random.default_rng(seed))
     for _ in range(ROUNDS):
         before = objective.total(candidates)[0]
-        candidates = _restarted(objective, candidates, lambda best, _: _perturb(objective, best, random))
-        for node in nodes:
-            candidates = _restarted(
-                objective,
-                candidates,
-                lambda best, by: rescan_velocities(objective, best.theta, [by], best.offset[0])[0],
-                node,
-            )
-        if u.free[u.index_of("x0")]:
-            candidates = _restarted(objective, candidates, lambda best, _: _shift_strike_position(u, best.theta[0]))
+        for points, gains in kinds:
+            candidates = _restarted(objective, candidates, points, gains)
         if objective.total(candidates)[0] > before - GAIN:
             break
     return candidates
@@ -145,36 +130,34 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
     return minimise(objective, objective.start(candidates.theta, candidates.phi, candidates.w, error), options)
 
 
-def _perturb(objective: Objective, best: Candidates, random: np.random.Generator) -> np.ndarray:
-    """Random points about the best in all parameters, widest along its ridge [restarts, size]."""
-    free = objective.free
-    curvature = sum(part.derivatives.curvature[0] for part in best.parts)
-    precision = objective.prior(best.theta)[2] / REACH**2 + curvature / ALONG**2
-    value, vector = np.linalg.eigh(precision[np.ix_(free, free)])
-    theta = np.tile(best.theta, (RESTARTS, 1))
-    theta[:, free] += random.normal(size=(RESTARTS, free.sum())) / np.sqrt(value) @ vector.T
-    return objective.problem.parametrisation.project(theta)
+def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
+    """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
+    u, free = objective.problem.parametrisation, objective.free
+    x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
+
+    def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
+        """Random points in all parameters, widest along the ridge."""
+        curvature = sum(part.derivatives.curvature[0] for part in best.parts)
+        precision = objective.prior(best.theta)[2] / REACH**2 + curvature / ALONG**2
+        value, vector = np.linalg.eigh(precision[np.ix_(free, free)])
+        theta = np.tile(best.theta, (RESTARTS, 1))
+        theta[:, free] += random.normal(size=(RESTARTS, free.sum())) / np.sqrt(value) @ vector.T
+        return u.project(theta)
+
+    def rescanned(best: Candidates, surrogate: QuadraticSurrogate) -> np.ndarray:
+        return rank_hammers(objective, best.theta, FINE_VELOCITIES, [surrogate], best.offset[0])[0]
+
+    def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
+        """Other strike positions."""
+        theta = np.tile(best.theta, (2 * len(SCAN), 1))
+        theta[:, x0] += np.outer([1, -1], SCAN).ravel()
+        return u.project(theta)
+
+    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(u.free[x0])]
 
 
-def _shift_strike_position(u: Parametrisation, best: np.ndarray) -> np.ndarray:
-    """The best [size] with shifted strike positions [2 · len(SCAN), size]."""
-    theta = np.tile(best, (2 * len(SCAN), 1))
-    theta[:, u.index_of("x0")] += np.outer([1, -1], SCAN).ravel()
-    return u.project(theta)
-
-
-def _restarted(
-    objective: Objective,
-    candidates: Candidates,
-    points: Callable[[Candidates, QuadraticSurrogate], np.ndarray],
-    gains: int | None = None,
-) -> Candidates:
-    """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w.
-
-    Parameters
-    ----------
-    gains : the node of the gains of the surrogate; all nodes by default.
-    """
+def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
+    """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
     surrogate = QuadraticSurrogate.of(
         objective.problem.observed.level, best.level.phi[0], best.level.w[0], best.level.residual[0], gains
@@ -227,37 +210,23 @@ def initial_hyperparameters(table: ObservationTable) -> np.ndarray:
     return mean
 
 
-def prescreen(objective: Objective, seed: int, surrogates: Sequence[QuadraticSurrogate]) -> list[np.ndarray]:
-    """Sample the prior's hammers, each with its best velocities by each surrogate and the prior; the best first.
-
-    Returns one array [S, size] per surrogate.
-    """
-    return _rank(objective, sobol_samples(objective, seed), VELOCITIES, surrogates, 0.0)
-
-
-def rescan_velocities(
-    objective: Objective,
-    theta: np.ndarray,
-    surrogates: Sequence[QuadraticSurrogate],
-    offset: np.ndarray | float = 0.0,
-) -> list[np.ndarray]:
-    """Rank hammers `theta` [S, size], each with its best velocities on a fine grid; the best first.
-
-    Returns one array per surrogate. In the treble a contact lasts for several periods of a partial, and the spectrum of
-    its force has lobes. A velocity in the wrong lobe is a minimum for every hammer near. `offset` is the discretisation
-    error of the levels, dB [R, K].
-    """
-    return _rank(objective, theta, FINE_VELOCITIES, surrogates, offset)
-
-
-def _rank(
+def rank_hammers(
     objective: Objective,
     theta: np.ndarray,
     velocities: np.ndarray,
     surrogates: Sequence[QuadraticSurrogate],
-    offset: np.ndarray | float,
+    offset: np.ndarray | float = 0.0,
 ) -> list[np.ndarray]:
-    """Hammers [S, size] with the best of the `velocities`, m/s, by each surrogate; the best first."""
+    """Rank hammers `theta` [S, size], each at its best velocities by a surrogate and the prior; the best first.
+
+    Returns one array per surrogate. In the treble a contact lasts for several periods of a partial, and the spectrum of
+    its force has lobes. A velocity in the wrong lobe is a minimum for every hammer near.
+
+    Parameters
+    ----------
+    velocities : m/s, tried for every stroke.
+    offset : discretisation error of the levels, dB [R, K].
+    """
     u, table = objective.problem.parametrisation, objective.problem.observed.level
     lower, upper, mean, sd, free = (x[u.shared :] for x in (u.lower, u.upper, u.mean, u.sd, u.free))
     # The bounds are the same for all velocities; measured velocities have columns of their own.
@@ -269,7 +238,7 @@ def _rank(
     hammers = np.tile(theta[:, STRING_SIZE : u.shared], (len(grid), 1))
     level, ended = objective.level_model.levels(np.column_stack([hammers, np.repeat(grid, len(theta))]))
     level = level.reshape(len(grid), len(theta), -1).swapaxes(0, 1)
-    costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, ENDLESS)[:, None] + prior
+    costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, 1e6)[:, None] + prior
     own = np.abs(grid - theta[:, u.shared :, None]).argmin(axis=2)
     starts = [own, *(np.tile(start, (len(theta), 1)) for start in _velocity_starts(objective.problem, grid))]
     target = table.value - offset
@@ -280,7 +249,8 @@ def _rank(
             own = [start[block] for start in starts]
             return _best_velocities(surrogate, residual, objective.level_model.stroke, costs[block], own)
 
-        blocks = [slice(i, i + BLOCK) for i in range(0, len(theta), BLOCK)]
+        # The data of 64 hammers fit the cache of a core.
+        blocks = [slice(i, i + 64) for i in range(0, len(theta), 64)]
         best, chosen = (np.concatenate(x) for x in zip(*thread_pool().map(best_of, blocks), strict=True))
         best = best + objective.prior(theta)[0]
         moved = theta.copy()
@@ -323,7 +293,7 @@ def _best_velocities(
     best, chosen = np.full(count, np.inf), np.zeros((count, len(strokes)), int)
     for start in starts:
         v = start.copy()
-        for _ in range(8):  # few need more than three
+        for _ in range(8):  # at most: it ends when no velocity changes
             before = v.copy()
             for s in strokes:
                 v[:, s] = (own[:, s] + sum(pair[t, s][S, v[:, t]] for t in strokes if t != s)).argmin(axis=1)
@@ -339,12 +309,10 @@ def _best_velocities(
 def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
     """Initial velocities: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
     u = problem.parametrisation
-    free, mean, brightness = u.free[u.shared :], u.mean[u.shared :], np.zeros(u.strokes)
+    free, mean, by_stroke = u.free[u.shared :], u.mean[u.shared :], np.zeros(u.strokes)
     for stroke, analysis in zip(problem.structure.stroke, problem.analyses, strict=True):
-        amplitude = 10 ** (analysis.partials.level / 20)
-        value = float((analysis.partials.number * amplitude).sum() / amplitude.sum())
-        brightness[stroke] = max(brightness[stroke], value)
+        by_stroke[stroke] = max(by_stroke[stroke], brightness(analysis))
     rank = np.empty(u.strokes)
-    rank[np.argsort(-brightness)] = np.arange(u.strokes)
+    rank[np.argsort(-by_stroke)] = np.arange(u.strokes)
     log_velocities = [np.where(free, np.log(FASTEST * factor**rank), mean) for factor in FACTORS]
     return [np.abs(grid - start[:, None]).argmin(axis=1) for start in log_velocities]

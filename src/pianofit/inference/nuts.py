@@ -40,16 +40,8 @@ from .problem import FitProblem, ModelInputs, StaticConfig
 # R-hat compares chains with each other, and four show more than two. Warm-up adapts step and metric. The draws leave
 # some ten independent ones beyond each end of a 95 % interval.
 CHAINS, WARMUP, DRAWS = 4, 200, 500
-# Maximum doublings of a trajectory: in these coordinates one of 64 steps has always turned round.
-DOUBLINGS = 6
-# Target acceptance rate (Hoffman and Gelman's range is 0.6 to 0.8).
-ACCEPTANCE = 0.8
-# Standard deviation of the chains' starts about the minimum: wider than the posterior, so that R-hat can detect it.
-START_SD = 1.5
 # Limits of R-hat and of the number of independent draws (Vehtari et al. 2021, Bayesian Analysis 16).
 MOST_RHAT, LEAST_ESS = 1.01, 400
-# Quantiles of a two-sided 95 % interval.
-TAILS = 0.025, 0.975
 # Bins of a histogram of the interval, and the ratio of a normal density at the interval's ends to its maximum. A
 # density that a bound cuts off has more.
 BINS, CUT = 20, float(np.exp(-0.5 * HALF_WIDTH_95**2))
@@ -107,19 +99,18 @@ def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> Inte
 
 def _observed(at: DensityContext, problem: FitProblem) -> dict[str, ObservedValues]:
     """The observations, in the order of `log_likelihood`."""
-    o, (level, *strings) = problem.observed, [np.asarray(table.value) for table in at.tables]
+    level, *strings = [np.asarray(table.value) for table in at.tables]
+    number, string_number = problem.observed.number, problem.observed.string_number
 
     def of_levels(entries: np.ndarray) -> ObservedValues:
-        row, column = np.asarray(entries).reshape(-1, 2).T
-        return ObservedValues(level[row, column], row + 1, o.number[column])
-
-    def of_string(value: np.ndarray, entries: np.ndarray) -> ObservedValues:
         row, column = entries.T
-        return ObservedValues(value[row, column], 0 * row, o.string_number[column])
+        return ObservedValues(level[row, column], row + 1, number[column])
 
-    frequency, decay = map(of_string, strings, at.detected[1:])
-    levels, absent = of_levels(at.detected[0]), of_levels(at.tables[0].censored)
-    return {"level": levels, "frequency": frequency, "decay": decay, "absent": absent}
+    found = {"level": of_levels(at.detected[0])}
+    for kind, value, entries in zip(("frequency", "decay"), strings, at.detected[1:], strict=True):
+        row, column = entries.T
+        found[kind] = ObservedValues(value[row, column], 0 * row, string_number[column])
+    return found | {"absent": of_levels(np.asarray(at.tables[0].censored).reshape(-1, 2))}
 
 
 def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
@@ -138,12 +129,13 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
     adapt: Any = blackjax.window_adaptation(
         blackjax.nuts,
         density,
-        target_acceptance_rate=ACCEPTANCE,
-        max_num_doublings=DOUBLINGS,
+        target_acceptance_rate=0.8,  # Hoffman and Gelman's range is 0.6 to 0.8
+        max_num_doublings=6,  # in these coordinates a trajectory of 64 steps has always turned round
         adaptation_info_fn=get_filter_adapt_info_fn(),
     )
     start_key, warmup_key, draw_key = jax.random.split(key, 3)
-    (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, START_SD), num_steps=warmup)
+    # The chains start wider than the posterior, so that R-hat can detect what they have not reached.
+    (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, 1.5), num_steps=warmup)
     step: Any = blackjax.nuts(density, **adapted).step
 
     def draw(state: Any, key):
@@ -157,7 +149,7 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
 
 def _interval(bounds: tuple[float, float], log: np.ndarray) -> Interval:
     """The interval of one value; an end is unbounded where a search bound cuts the density off."""
-    low, high = np.quantile(log, TAILS)
+    low, high = np.quantile(log, (0.025, 0.975))
     highest = np.histogram(log, bins=BINS, range=(low, high))[0].max()
     width = (high - low) / BINS
     inward = {"low": log - bounds[0], "high": bounds[1] - log}
@@ -207,9 +199,8 @@ class DensityContext(NamedTuple):
 
     theta: Any  # [size]
     root: Any  # from whitened coordinates to θ [size, free]
-    bounds: tuple[Any, Any]  # [size] each
+    bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
     power: Any  # index of the force and of the exponent; None for a law without a power
-    stiffness: Any  # lowest and highest log K_H
     log_u: Any
     prior: tuple[Any, Any]  # mean and precision [size]
     tables: tuple[ObservationTable, ...]
@@ -234,7 +225,6 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         _whitening_root(problem, estimate),
         (u.lower, u.upper),
         u.force_and_exponent_index,
-        np.array(u.stiffness),
         u.log_reference_compression,
         (u.mean, u.precision),
         tables,
@@ -260,7 +250,10 @@ def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     at_bound = u.at_bound(estimate.theta)[free]
     covariance = (tangent @ estimate.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
     covariance = np.where(at_bound[:, None] | at_bound, 0.0, covariance)
-    wide = np.minimum(u.sd, RANGE_FRACTION * (u.upper - u.lower))[free]
+    span = u.upper - u.lower
+    if u.force_and_exponent_index:
+        span[u.force_and_exponent_index[0]] = np.inf
+    wide = np.minimum(u.sd, RANGE_FRACTION * span)[free]
     scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), wide**2))
     correlation = covariance / np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
@@ -278,7 +271,7 @@ def reflect_into_bounds(at: DensityContext, whitened):
         return reflected
     i, p = at.power
     shift = jnp.exp(reflected[p]) * at.log_u
-    force = _reflect(theta[i], at.stiffness[0] + shift, at.stiffness[1] + shift)
+    force = _reflect(theta[i], at.bounds[0][i] + shift, at.bounds[1][i] + shift)
     return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
 
 

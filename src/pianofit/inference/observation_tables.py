@@ -36,14 +36,10 @@ class RecordingStructure:
         """Number of paths."""
         return max(self.group) + 1
 
-    def velocities(self, group: int) -> int:
-        """Number of strokes recorded through a path."""
-        return len({s for s, g in zip(self.stroke, self.group, strict=True) if g == group})
-
     @property
     def path_identifiable(self) -> bool:
         """True if one path has two velocities; without that, path and hammer cannot be distinguished."""
-        return any(self.velocities(g) > 1 for g in range(self.groups))
+        return len({*zip(self.group, self.stroke, strict=True)}) > self.groups
 
 
 @dataclass(frozen=True)
@@ -130,7 +126,7 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
-    nodes, weight = _path_nodes(layout.groups, path)
+    nodes, weight = priors.path_nodes() if path else (np.array([NONE]), np.ones(1))
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
     hyper = priors.LEVEL
@@ -145,7 +141,7 @@ def _levels(
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
         distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.full(layout.groups, float(path)),
-        log_tau=nodes,
+        log_tau=np.repeat(nodes[:, None], layout.groups, axis=1),
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         variance_profile=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
@@ -162,26 +158,17 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
     """
     recordings = len(layout.stroke)
     onset = np.eye(recordings)[:, :, None] * (DB * alpha)
-    onset_sd = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
+    onset_sd = np.full(recordings, np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
     if not gains:
-        return onset, onset_sd
+        return onset, onset_sd[None]
     path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
+    # A path with one gain group has no deviation from its gain.
     several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
     own = own[(own * several).any(axis=1)]
-    own_sd = np.array(priors.GAIN_DEVIATION if len(own) else [0.0])[:, None]
     gain = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
-    ones = np.ones_like(own_sd)
-    return np.concatenate([gain, onset]), np.concatenate(
-        [ones * np.full(len(path), priors.GAIN), own_sd * np.ones(len(own)), ones * onset_sd], axis=1
-    )
-
-
-def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
-    """log τ at the nodes of its prior, the same for every group [T, G], and their weights."""
-    if not path:
-        return np.full((1, groups), NONE), np.ones(1)
-    nodes, weight = priors.path_nodes()
-    return np.repeat(nodes[:, None], groups, axis=1), weight
+    deviations = priors.GAIN_DEVIATION if len(own) else (0.0,)
+    scale = [[*np.full(len(path), priors.GAIN), *np.full(len(own), sd), *onset_sd] for sd in deviations]
+    return np.concatenate([gain, onset]), np.array(scale)
 
 
 def _string_tables(
@@ -198,12 +185,10 @@ def _string_tables(
         # Relative to the recording's own pitch and to the reference's inharmonicity.
         cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
         per_hertz, decay = CENTS / t.frequency, ref.b1 + ref.d2 * t.number**2
-        pitch.append((
-            t.number, cents, t.frequency_error * per_hertz, t.frequency_systematic * np.outer(per_hertz, per_hertz),
-        ))  # fmt: skip
-        loss.append((
-            t.number, np.log(t.decay / decay), t.decay_error / t.decay, t.decay_systematic / np.outer(decay, decay),
-        ))  # fmt: skip
+        systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
+        pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
+        systematic = t.decay_systematic / np.outer(decay, decay)
+        loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
     glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (

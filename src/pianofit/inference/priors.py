@@ -53,8 +53,6 @@ STUDENT = 10.0
 # Residual standard deviation τ of a path, dB, median and spread, from notes recorded at several velocities
 # (benchmarks/path_prior.py).
 PATH = (4.5, 0.4)
-# Nodes of the quadrature over τ.
-PATH_NODES = 3
 # A censored partial may exceed the bound of its band by this, dB: leakage of neighbours can cancel it.
 CENSORED_MARGIN = 1.0
 # Initial hammer velocity, m/s, if none is given: a moderate forte.
@@ -88,8 +86,8 @@ LAW_REACH = 10.0
 
 
 def path_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
-    x, weight = np.polynomial.hermite_e.hermegauss(PATH_NODES)
+    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
+    x, weight = np.polynomial.hermite_e.hermegauss(3)
     return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
 
 
@@ -125,6 +123,11 @@ class InitialValues:
     user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
     law: FeltLaw = DEFAULT_LAW
 
+    @property
+    def unknown_path(self) -> bool:
+        """True if an unknown path lies between the bridge and the file."""
+        return self.scale is None and self.quantity == "pressure"
+
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> InitialValues:
     """Combine analysis, setup and literature.
@@ -133,11 +136,9 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     ----------
     velocity : measured hammer velocity, m/s. It overrides the setup's.
     """
-    midi = midi_of(analysis.f0)
-    key = float(np.clip(midi, 21, 108))
+    key = float(np.clip(midi_of(analysis.f0), 21, 108))
     preset, law = typical(key), setup.law
     geometry, assumed = _geometry(setup, preset.geometry)
-    calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
     _check_pitch(analysis, setup, geometry.length)
     hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
@@ -148,20 +149,18 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
     if measured is not None:
         values["v_H0"], fixed["v_H0"] = measured, "fixed"
-    elif not calibrated and "v_H0" not in fixed:
+    elif setup.pickup_scale is None and "v_H0" not in fixed:
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    fixed |= {
-        name: "fixed"
-        for name in ALL_PARAMETERS
-        if name in law.columns and name not in (*law.parameters, *COMMON_PARAMETERS)
-    }
+    absent = {*ALL_PARAMETERS} & {*law.columns} - {*law.parameters, *COMMON_PARAMETERS}
+    fixed |= {name: "fixed" for name in ALL_PARAMETERS if name in absent}
     ranges = ALL_PARAMETERS | law.hammer_parameters
     for name in set(values) & set(ranges):
-        parameter = ranges[name]
-        low, high = setup.bounds.get(name, (parameter.lower, parameter.upper))
+        low, high = setup.bounds.get(name, (ranges[name].lower, ranges[name].upper))
         values[name] = min(max(values[name], low), high)
+    # A user's law may use the literature's names for other quantities.
+    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
     return InitialValues(
         values=values,
         initial=values | setup.initial,
@@ -172,10 +171,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
-        # A user's law may use the literature's names for other quantities.
-        reference_hammer=Hammer(
-            **hammer | {name: values[name] for name in (COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES)}
-        ),
+        reference_hammer=Hammer(**hammer | {name: values[name] for name in shared}),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
     )
@@ -225,9 +221,5 @@ def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
 
 
 def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
-    assumptions: dict[str, tuple[str, ...]] = {}
-    if "length" in assumed:
-        assumptions |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
-    if "mass" in assumed:
-        assumptions |= dict.fromkeys((*law.parameters_with_unit("N"), "M_H"), ("mass",))
-    return assumptions
+    scaled = {"length": ("c", "kappa", "b2", "x0"), "mass": (*law.parameters_with_unit("N"), "M_H")}
+    return {name: (size,) for size, names in scaled.items() if size in assumed for name in names}

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..analysis import cents_above
-from ..inference import InferenceResult, IntervalResult
-from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..model.note import Note
 from ..schema.decode import convert
 from ..schema.fit import (
