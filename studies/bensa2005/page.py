@@ -82,7 +82,7 @@ def reproduce(
         folder / "index.html",
         "index.html.j2",
         package="studies.bensa2005",
-        styles=("page.css",),
+        styles=("claims.css",),
         scripts=("audio.js", "player.js"),
         filters=FILTERS,
         title="Parameter fitting for piano sound synthesis, reproduced",
