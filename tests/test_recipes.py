@@ -329,7 +329,7 @@ def test_the_command_line_from_end_to_end(tmp_path, capsys):
     command = ["fit", str(tmp_path / "synthetic.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     assert "No intervals" in capsys.readouterr().out
-    whole = json.loads((out / "fit.json").read_text())
+    whole = pianofit.Result.load(out).fit
     assert whole.recipe == "paper"
     assert whole.seed == 1
     assert whole.diagnostics.evaluations >= FEW // 2

@@ -76,21 +76,22 @@ class Draws(Mapping[str, np.ndarray]):
         OutputError
             If ArviZ is not installed.
         """
-        arviz = require_optional("arviz", "draws for ArviZ")
-        observed, constant, coords, dims = {}, {}, {}, {}
+        arviz = require_optional("arviz_base", "draws for ArviZ")
+        groups: dict[str, dict[str, np.ndarray]] = {
+            # A name in a tree of xarray must not contain a slash.
+            "posterior": {name.replace("/", " over "): values for name, values in self.entries.items()}
+        }
+        coords, dims = {}, {}
         for kind, data in self.observed.items():
             if not len(data.value):
                 continue
-            dimension = f"{kind}_observation"
-            coords[dimension] = np.arange(len(data.value))
             columns = {kind: data.value, f"{kind}_recording": data.recording, f"{kind}_partial": data.partial}
-            dims |= {name: [dimension] for name in columns}
-            observed[kind] = columns.pop(kind)
-            constant |= columns
-        groups = {"observed_data": observed, "constant_data": constant, "coords": coords, "dims": dims}
-        if observed:
-            groups["log_likelihood"] = {kind: self.log_likelihood[kind] for kind in observed}
-        return arviz.from_dict(posterior=self.entries, **(groups if observed else {}))
+            coords[f"{kind}_observation"] = np.arange(len(data.value))
+            dims |= dict.fromkeys(columns, [f"{kind}_observation"])
+            groups.setdefault("observed_data", {})[kind] = columns.pop(kind)
+            groups.setdefault("log_likelihood", {})[kind] = self.log_likelihood[kind]
+            groups.setdefault("constant_data", {}).update(columns)
+        return arviz.from_dict(groups, coords=coords, dims=dims)
 
 
 def encode_draws(draws: Draws) -> bytes:
