@@ -24,10 +24,11 @@ from pianofit.errors import FitError
 from pianofit.inference.intervals import Observations
 from pianofit.inference.likelihood import pointwise
 from pianofit.result.draws import DRAWS_FILE, Draws, encode_draws, read_draws
+from pianofit.schema.fit import DrawsFile
 
 pytestmark = pytest.mark.usefixtures("float64")
 
-INVARIANTS = {"f0": {}, "M_H/M_S": {}}
+INVARIANTS = ("f0", "M_H/M_S")
 
 
 def draws(chains: int = 2, count: int = 30) -> Draws:
@@ -37,15 +38,15 @@ def draws(chains: int = 2, count: int = 30) -> Draws:
     seen = {kind: Observations(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
             for kind, n in (("level", 5), ("frequency", 3), ("absent", 0))}  # fmt: skip
     likelihood = {kind: random.normal(size=(chains, count, len(own.value))) for kind, own in seen.items()}
-    return Draws(values, tuple(INVARIANTS), likelihood, seen)
+    return Draws(values, INVARIANTS, likelihood, seen)
 
 
-def entry(data: bytes) -> dict:
-    return {"file": DRAWS_FILE, "sha256": hashlib.sha256(data).hexdigest()}
+def entry(data: bytes) -> DrawsFile:
+    return DrawsFile(DRAWS_FILE, hashlib.sha256(data).hexdigest())
 
 
 def written(folder: Path, data: bytes) -> Draws | None:
-    """Draws read from a file that holds `data`, with a matching document."""
+    """Draws read from a file that holds `data`, with a matching entry of a fit."""
     (folder / DRAWS_FILE).write_bytes(data)
     return read_draws(entry(data), folder, INVARIANTS)
 
@@ -111,9 +112,9 @@ def test_draws_are_read_as_they_were_written(tmp_path):
 
 def test_a_fit_without_draws_has_none(tmp_path):
     data = encode_draws(draws())
-    assert read_draws(entry(data), tmp_path, {}) is None, "the file was deleted"
+    assert read_draws(entry(data), tmp_path, ()) is None, "the file was deleted"
     (tmp_path / DRAWS_FILE).write_bytes(data)
-    assert read_draws(None, tmp_path, {}) is None, "the file of an earlier fit"
+    assert read_draws(None, tmp_path, ()) is None, "the file of an earlier fit"
 
 
 def archive(arrays: dict[str, np.ndarray], compression: int = zipfile.ZIP_STORED) -> bytes:
@@ -202,7 +203,7 @@ def test_a_folder_keeps_the_draws(tmp_path):
     assert Result.load(folder).draws is None
     result().save(again, page=False, force=True)
     assert not (again / DRAWS_FILE).exists()
-    assert "draws" not in json.loads((again / "fit.json").read_text())
+    assert json.loads((again / "fit.json").read_text())["draws"] is None
 
 
 def test_arviz_has_what_a_study_needs(monkeypatch):

@@ -18,7 +18,7 @@ from instrument_cases import true_instrument
 from pianofit.export import SAMPLERS, ExportOptions, export_sampler
 from pianofit.export.layers import key_ranges, layer_velocities
 from pianofit.playback.voice import damper_rate
-from pianofit.result.alignment import fractional_lag
+from pianofit.result.comparison import fractional_lag
 
 KEYS = [55, 60, 100]
 # From the developer's guide, version 1.22.2: element -> (parent, required attributes, other allowed attributes).

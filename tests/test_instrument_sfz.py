@@ -21,7 +21,7 @@ from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback.voice import damper_rate
-from pianofit.result.alignment import fractional_lag
+from pianofit.result.comparison import fractional_lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]

@@ -37,7 +37,7 @@ from pianofit.report.page import FigureData, report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.text import STATUS, minima, modal_response_line, modal_response_text, recontact_text, rows
-from pianofit.result.identifiability import STATUSES
+from pianofit.schema.quantities import STATUSES
 
 
 @pytest.fixture(scope="module")

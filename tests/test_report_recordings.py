@@ -40,7 +40,7 @@ from pianofit.report.identifiability_text import (
 )
 from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
-from pianofit.result.quantities import Quantities
+from pianofit.schema.quantities import Quantities
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pianofit.result.velocity_discrepancy import UNINFORMATIVE_ERROR, smooth_random_walk, stroke_deviations
+from pianofit.result.notes import UNINFORMATIVE_ERROR, smooth_random_walk, stroke_deviations
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

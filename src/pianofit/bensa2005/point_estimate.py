@@ -18,8 +18,8 @@ from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result
 from ..result.comparison import RecordingComparison, worse_bands
-from ..result.identifiability import AT_BOUND, NOT_CONVERGED
 from ..result.records import derived_of, fixed_quantity, pickup_of, record_of, sizes
+from ..result.warnings import AT_BOUND, NOT_CONVERGED
 from ..schema.fit import Criterion, Diagnostics, Fit, package_versions
 from ..schema.quantities import Covariance, Quantities, Status
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,6 +32,7 @@ from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
+    from ..result.cross_validation import CrossValidation
 
 __all__ = ["analyse", "compare", "cross_validate", "fit", "predict"]
 
@@ -129,7 +130,6 @@ def fit(
     """Estimate string and hammer parameters from one or several recordings of a key."""
     from ..fitting import fit as run
     from ..model.program_cache import enable_program_cache
-    from .summary import summary
 
     check_velocity(velocity)
     check_seed(seed)
@@ -141,12 +141,27 @@ def fit(
         )  # fmt: skip
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    print_result(result.document, summary(result.document, folder), as_json)
+    print_result(result.fit, f"{result.summary()}\nwritten to {folder}\n", as_json)
 
 
 def _setup_with_felt(setup: Path | None, felt: str | None) -> Setup:
     """Load the setup, with the felt law of the command line."""
     return Setup(felt=felt) if setup is None else load_setup(setup, felt)
+
+
+@dataclass(frozen=True)
+class PredictionReport:
+    """What `predict --json` prints."""
+
+    file: str
+    sha256: str
+    in_training_set: bool
+    predicted_db: float
+    partials: int
+    v_H0: float
+    velocity_at_search_limit: bool
+    gain_db: float
+    pitch_offset_cents: float
 
 
 def predict(
@@ -158,49 +173,41 @@ def predict(
     as_json: options.Json = False,
 ) -> None:
     """Predict a recording that took no part in the fit. Only velocity, gain and pitch are free."""
-    result = _predict(fit, recording, out, channel, force)
-    end = ", at the limit of the searched range: the velocity could not be determined" if result["v_H0_at_end"] else ""
-    words = (
-        f"{result['predicted_db']:.2f} dB over {counted(result['partials'], 'partial')}, {result['cents']:+.2f} cents "
-        f"from the fit, at {result['v_H0']:.3g} m/s{end}\n"
-    )
-    if result["was_fitted"]:
-        words += "This recording took part in the fit, so this is not a prediction.\n"
-    print_result(result, words, as_json)
-
-
-def _predict(fit: Path, file: Path, out: Path | None, channel: str, force: bool) -> dict:
-    """Predict the recording `file` from a `fit.json`. Write the predicted sound to `out`, if given."""
-    from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
     from ..model.program_cache import enable_program_cache
-    from ..result.alignment import estimate_contact_onset
-    from ..result.prediction import predict_recording
+    from ..result import Result
+    from ..result.comparison import estimate_contact_onset
 
     if out is not None:
         check_sound_target(out, force)
-    fit = fit_path(fit)
-    document = read_fit(fit)
-    mixture = notes_of_minima(document, fit)
-    recording = load_recording(file, channel=channel)
+    fitted = Result.load(fit)
+    sound = load_recording(recording, channel=channel)
     enable_program_cache()
-    result = predict_recording(mixture, recording, gains=relative_gains(document))
+    p = fitted.predict(sound)
     if out is not None:
-        strike = result.note.strike(recording.rate)
-        contact = estimate_contact_onset(result.note, strike, recording)
-        samples = result.note.render_mono(strike, recording.rate, len(recording.samples), contact)
-        write_file(out, encode_wav(samples, recording.rate), force)
-    fitted = {row.get("sha256") for row in document["recordings"] if isinstance(row, dict)}
-    return {
-        "file": recording.path,
-        "sha256": recording.sha256,
-        "was_fitted": recording.sha256 in fitted,
-        "predicted_db": result.error_db,
-        "partials": result.partials,
-        "v_H0": result.velocity,
-        "v_H0_at_end": result.velocity_at_search_limit,
-        "gain_db": result.gain_db,
-        "cents": result.cents,
-    }
+        strike = p.note.strike(sound.rate)
+        contact = estimate_contact_onset(p.note, strike, sound)
+        samples = p.note.render_mono(strike, sound.rate, len(sound.samples), contact)
+        write_file(out, encode_wav(samples, sound.rate), force)
+    was_fitted, at_limit = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}, p.velocity_at_search_limit
+    end = ", at the limit of the searched range: the velocity could not be determined" if at_limit else ""
+    words = (
+        f"{p.error_db:.2f} dB over {counted(p.partials, 'partial')}, {p.pitch_offset_cents:+.2f} cents from the fit, "
+        f"at {p.velocity:.3g} m/s{end}\n"
+    )
+    if was_fitted:
+        words += "This recording took part in the fit, so this is not a prediction.\n"
+    report = PredictionReport(
+        sound.path,
+        sound.sha256,
+        was_fitted,
+        p.error_db,
+        p.partials,
+        p.velocity,
+        at_limit,
+        p.gain_db,
+        p.pitch_offset_cents,
+    )
+    print_result(report, words, as_json)
 
 
 def cross_validate(
@@ -221,19 +228,32 @@ def cross_validate(
     from ..fitting import analyse_all
     from ..model.program_cache import enable_program_cache
     from ..result.cross_validation import cross_validate as run
-    from .summary import cross_validation
 
     check_seed(seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
         loaded = load_recordings(recordings, channel)
         analyses = analyse_all(loaded, note, f0)
         enable_program_cache()
-        result, full_fit = run(loaded, analyses, _setup_with_felt(setup, felt), seed=seed, progress=progress)
+        held_out = run(*loaded, setup=_setup_with_felt(setup, felt), seed=seed, progress=progress, analyses=analyses)
         if folder is not None:
-            full_fit.save(folder, force=True, page=False)
-            full_fit.report(folder, held_out=result)
-            replace_file(folder / "cross_validation.json", json_text(result).encode())
-    print_result(result, cross_validation(result), as_json)
+            held_out.result.save(folder, force=True, page=False)
+            held_out.result.report(folder, held_out=held_out)
+            replace_file(folder / "cross_validation.json", json_text(held_out.to_dict()).encode())
+    print_result(held_out.to_dict(), _left_out_table(held_out), as_json)
+
+
+def _left_out_table(held_out: CrossValidation) -> str:
+    """Prediction errors of recordings that were left out, next to errors of methods without a model."""
+    lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   rms error, dB"]
+    for row in held_out.recordings:
+        errors = (row.predicted_db, row.nearest_db, row.blend_db)
+        predicted, nearest, blend = ("-" if error is None else f"{error:.2f}" for error in errors)
+        note = "" if row.has_neighbours else "  (beyond the others)"
+        lines.append(f"{Path(row.file).name:32}{row.v_H0:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
+    if held_out.median_inner_db is not None:
+        errors = f"median {held_out.median_inner_db:.2f} dB, worst {held_out.worst_inner_db:.2f} dB"
+        lines.append(f"between the others: {errors}")
+    return "\n".join([*lines, *held_out.warnings]) + "\n"
 
 
 def compare(
@@ -246,15 +266,16 @@ def compare(
     as_json: options.Json = False,
 ) -> None:
     """Compare two fits: values, differences, z, and felt force over compression."""
+    from ..report.compare import FIGURE_KINDS
     from ..report.compare import compare as run
-    from ..report.figures_compared import KINDS
 
     kind = "" if out is None else out.suffix.lower().removeprefix(".")
     if out is not None:
-        if kind not in KINDS:
-            raise OutputError(f"{printable(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
+        if kind not in FIGURE_KINDS:
+            kinds = ", .".join(FIGURE_KINDS)
+            raise OutputError(f"{printable(out)}: a figure ends in .{kinds}; give --out another name")
         check_target(out, force)
     comparison = run(a, b)
     if out is not None:
         write_file(out, comparison.figure(kind), force)
-    print_result(comparison.to_dict(), f"{comparison!r}\n", as_json)
+    print_result(comparison, f"{comparison!r}\n", as_json)

@@ -11,17 +11,21 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from ..errors import check_range
 from ..io.files import DISK_FULL, encode_wav, output_folder, replace_file
+from ..io.number_format import format_like, format_with_interval
 from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
 from .options import Force, Json, Seed, number
 from .terminal import add, print_error, print_result
+
+if TYPE_CHECKING:
+    from ..result import Result
 
 __all__ = ["app", "main", "run"]
 
@@ -72,8 +76,6 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Fit a synthetic recording, starting from the initial values of the paper, and compare with the true values."""
-    from .summary import comparison, summary
-
     check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
@@ -90,11 +92,24 @@ def demo(
         progress("page", 0.95)
         result.save(folder, force=True)
     words = (
-        f"{comparison(result.document, synthetic.true)}\n{summary(result.document, folder)}"
+        f"{_true_and_fitted(result, synthetic.true)}\n{result.summary()}\nwritten to {folder}\n"
         f"the page is {folder / 'report.html'}; the same fit from its files:\n"
         f"pianofit fit {folder / 'synthetic.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
-    print_result(result.document | {"true": synthetic.true}, words, as_json)
+    print_result(result.to_dict() | {"true": synthetic.true}, words, as_json)
+
+
+def _true_and_fitted(result: Result, true: dict[str, float]) -> str:
+    """Table of true and fitted values."""
+    lines = [f"{'':8}{'initial':>12}{'true':>14}{'fitted':>14}{'error':>11}   95 % interval, and true value inside"]
+    for name, value in true.items():
+        p = result.parameters[name]
+        fitted, span = format_with_interval(p.value, p.interval)
+        holds = "-" if p.interval is None else "yes" if p.interval[0] <= value <= p.interval[1] else "NO"
+        note = "" if p.status == "fitted" else f", {p.status}"
+        truth, error = format_like(value, p.value, p.interval), 100 * (p.value / value - 1)
+        lines.append(f"{name:8}{p.initial:12.5g}{truth:>14}{fitted:>14}{error:+9.1g} %   {span} {holds}{note}")
+    return "\n".join(lines) + "\n"
 
 
 def reproduce(

@@ -13,7 +13,6 @@ from ..io.files import check_sound_target, check_target, encode_wav, limit_peak,
 from ..parameters import Geometry, String, check
 from ..setup import STRING_PICKUPS
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
-from .summary import contact_of
 
 if TYPE_CHECKING:
     from ..literature import Preset
@@ -81,6 +80,7 @@ def simulate(
             raise ParameterError(f"setup-out={printable(setup_out)} is also --out; give another name")
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
+    from ..report.summary import contact_text
     from ..synthetic import synthetic_recording
 
     check_render(velocity, seconds, rate)
@@ -94,9 +94,9 @@ def simulate(
     write_file(out, encode_wav(recording.samples, rate), force)
     if setup_out is not None:
         write_file(setup_out, recording.setup_text.encode(), force)
-    pulse = recording.simulation.pulse
+    largest = float(recording.simulation.pulse.force.max())
     typer.echo(
-        f"{out}: {seconds:g} s, largest force {float(pulse.force.max()):.3g} N, {contact_of(recording.simulation)}, "
+        f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
         f"full scale {recording.scale:.4g} {UNITS[quantity]}"
     )
 
@@ -164,6 +164,7 @@ def render(
     check_sound_target(out, force)
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
+    from ..report.summary import contact_text
     from ..schema.notes import load_note
 
     check_render(velocity, seconds, 44_100 if rate is None else rate)
@@ -177,4 +178,4 @@ def render(
     )
     write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     scaled = f", multiplied by {gain:.3g} to stay below full scale" if gain < 1 else ""
-    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{scaled}")
+    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_text(strike)}{scaled}")

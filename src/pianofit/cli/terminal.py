@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from ..errors import PianofitError
-from ..io.files import json_text, printable
+from ..io.files import printable
 
 __all__ = ["add", "print_error", "print_result"]
 
@@ -45,9 +45,13 @@ def add(app: typer.Typer, command: Callable, example: str) -> None:
     app.command(name, cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_catch_errors(command))
 
 
-def print_result(document: dict[str, Any], words: str, as_json: bool) -> None:
-    """Print a result as JSON, or as text that ends with a newline."""
-    typer.echo(json_text(document) if as_json else words, nl=False)
+def print_result(record: Any, words: str, as_json: bool) -> None:
+    """Print a record or a table of numbers as JSON, or as text that ends with a newline."""
+    if as_json:
+        from ..schema.decode import encode_json
+
+        words = encode_json(record).decode()
+    typer.echo(words, nl=False)
 
 
 def print_error(message: str) -> None:

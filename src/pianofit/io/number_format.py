@@ -22,6 +22,7 @@ __all__ = [
     "is_number",
     "number",
     "format_relative_uncertainty",
+    "log_half_width",
     "summary",
     "with_half_interval",
     "with_interval",
@@ -69,6 +70,13 @@ def with_interval(value: Any, interval: Any) -> tuple[str, str]:
     power, decimals = _scale(value, digits)
     ends = " to ".join(_fixed(end, power, decimals) for end in interval)
     return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
+
+
+def log_half_width(interval: Sequence[float] | None) -> float | None:
+    """Return half of an interval of a logarithm; None if it is missing, empty or not above 0."""
+    if not interval or not 0 < interval[0] < interval[1] <= LARGEST:
+        return None
+    return 0.5 * math.log(interval[1] / interval[0])
 
 
 def format_relative_uncertainty(half: float, factor: str = "to a factor of {}") -> str:

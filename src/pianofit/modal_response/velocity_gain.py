@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..result.velocity_discrepancy import UNINFORMATIVE_ERROR, smooth_random_walk
+from ..result.notes import UNINFORMATIVE_ERROR, smooth_random_walk
 
 __all__ = ["velocity_gain"]
 

@@ -12,21 +12,23 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
-from ..fit_file import fit_path
 from ..io.files import printable
 from ..io.number_format import columns, format_with_interval
 from ..io.table_output import data_frame, html_table
 from ..result import Result
-from .comparison_table import ComparedQuantity, Sides, compared, messages
-from .figure_data import Felt
+from ..schema.decode import builtins_of
+from ..schema.fit import fit_path
+from .comparison_table import ComparedQuantity, Sides
+from .plots import drawn_on
+from .static_law import StaticLaw, compared_laws, draw_compared_laws
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["ComparedQuantity", "Comparison", "compare"]
+__all__ = ["FIGURE_KINDS", "ComparedQuantity", "Comparison", "compare"]
 
 NAMES = ("A", "B")
-HEADING = ("", "unit", "difference", "sd", "z", "")
+FIGURE_KINDS = ("svg", "png", "pdf")  # of files, by their suffix
 COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "status_b", "reason")
 
 
@@ -35,14 +37,14 @@ class Comparison:
     """Comparison of two fits: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
 
     `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`. They are None if a fit
-    has no covariance. `messages` are the limits of the comparison.
+    has no covariance. `warnings` are the limits of the comparison.
     """
 
     labels: tuple[str, str]
     quantities: tuple[ComparedQuantity, ...]
-    felts: tuple[Felt, Felt] | None
+    felts: tuple[StaticLaw, StaticLaw] | None
     felt_unit: str  # N, or N/kg if the mass of a string was assumed
-    messages: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     def __getitem__(self, name: str) -> ComparedQuantity:
         for quantity in self.quantities:
@@ -57,15 +59,14 @@ class Comparison:
         return len(self.quantities)
 
     def __repr__(self) -> str:
-        return "\n".join([*columns([self._heading, *map(_cells, self)], right=1), *self.messages])
+        return "\n".join([*columns([self._heading, *map(_cells, self)], right=1), *self.warnings])
 
     @property
     def _heading(self) -> tuple[str, ...]:
-        name, *others = HEADING
-        return name, *self.labels, *others
+        return "", *self.labels, "unit", "difference", "sd", "z", ""
 
     def _repr_html_(self) -> str:
-        notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
+        notes = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         return f"{html_table(self._heading, map(_cells, self))}<ul>{notes}</ul>"
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -76,14 +77,11 @@ class Comparison:
         FitError
             If a fit has no covariance, so that no band can be drawn.
         """
-        from .figures_compared import draw_felts
-        from .plots import drawn_on
-
         felts = self._drawable()
-        return drawn_on(ax, lambda axes: draw_felts(axes, felts, self.labels, self.felt_unit))
+        return drawn_on(ax, lambda axes: draw_compared_laws(axes, felts, self.labels, self.felt_unit))
 
     def figure(self, kind: str = "svg") -> bytes:
-        """Return `plot` as the content of a file: svg, png or pdf.
+        """Return `plot`, with the ratio of both forces, as the content of a file: svg, png or pdf.
 
         Raises
         ------
@@ -92,29 +90,18 @@ class Comparison:
         FitError
             If a fit has no covariance, so that no band can be drawn.
         """
-        from .figures_compared import KINDS, figure_of_felts
+        if kind not in FIGURE_KINDS:
+            raise ParameterError(f"kind={kind!r} must be one of {', '.join(FIGURE_KINDS)}")
+        return compared_laws(self._drawable(), self.labels, self.felt_unit, kind)
 
-        if kind not in KINDS:
-            raise ParameterError(f"kind={kind!r} must be one of {', '.join(KINDS)}")
-        return figure_of_felts(self._drawable(), self.labels, self.felt_unit, kind)
-
-    def _drawable(self) -> tuple[Felt, Felt]:
+    def _drawable(self) -> tuple[StaticLaw, StaticLaw]:
         if self.felts is None:
-            raise FitError(f"{' '.join(self.messages)} Fit the recordings again to draw the felts".strip())
+            raise FitError(f"{' '.join(self.warnings)} Fit the recordings again to draw the felts".strip())
         return self.felts
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as dicts, lists and numbers, as `pianofit compare --json` prints it."""
-        felts = None
-        if self.felts is not None:
-            felts = {"compression_mm": self.felts[0].compression.tolist(), "unit": self.felt_unit} | {
-                side: dict(zip(("force", "low", "high"), felt.force.tolist(), strict=True))
-                for side, felt in zip(("a", "b"), self.felts, strict=True)
-            }
-        return {
-            "a": self.labels[0], "b": self.labels[1], "quantities": [quantity.to_dict() for quantity in self],
-            "felts": felts, "messages": list(self.messages),
-        }  # fmt: skip
+        return builtins_of(self)
 
     def to_dataframe(self) -> Any:
         """Return a pandas data frame with one row a quantity.
@@ -158,16 +145,10 @@ def compare(
     >>> same["f0"].z, same["L"].reason
     (0.0, 'held fixed in first and second')
     """
-    fits, names = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
-    sides = Sides(fits, names)
-    try:
-        felts, problems = sides.felts()
-        return Comparison(names, compared(sides, felts), felts, sides.felt_unit, (*messages(sides), *problems))
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        raise FitError(
-            f"{' and '.join(names)}: a fit.json is incomplete ({printable(repr(error))}); "
-            "give the file that pianofit fit wrote"
-        ) from None
+    results, names = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
+    sides = Sides(results, names)
+    laws, problems = sides.laws()
+    return Comparison(names, sides.quantities(laws), laws, sides.felt_unit, (*sides.warnings(), *problems))
 
 
 def _result(fit: Any, name: str) -> Result:

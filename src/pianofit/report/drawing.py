@@ -21,43 +21,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BAND",
-    "BORDER",
-    "COLOURS",
-    "FAINT",
-    "FITTED",
-    "GROUP",
-    "HATCH",
-    "HEIGHT",
-    "INITIAL",
-    "INK",
-    "LAW",
-    "LINES",
-    "LOOP",
-    "MEASURED",
-    "PAPER",
-    "STYLE",
-    "WRONG",
-    "make_figure",
-    "file_of",
-    "legend",
-    "log_axis",
-    "number_axis",
-    "panel",
-    "points",
-    "span",
-    "svg",
-]
-
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
 PAPER, GRID, EDGE, BORDER, HATCH = "#ffffff", "#e3e7ec", "#9aa3ad", "#7b8794", "#c3cad2"
 LOOP, BAND, GROUP, WRONG = "#8fbfe0", "#cfe3f1", "#cc79a7", "#a3123a"
+GROUPS = (FITTED, LAW, GROUP, INITIAL)  # of path groups, or of partials
 # Colour -> property of `page.css`.
-COLOURS = {
-    INK: "ink", MEASURED: "measured", INITIAL: "initial", LAW: "law", FITTED: "fitted", FAINT: "faint", PAPER: "paper",
-    GRID: "line", EDGE: "axis", BORDER: "edge", HATCH: "axis", LOOP: "loop", BAND: "band", GROUP: "group", WRONG: "bad",
-}  # fmt: skip
+COLOURS = (
+    {INK: "ink", MEASURED: "measured", INITIAL: "initial", LAW: "law", FITTED: "fitted", FAINT: "faint"}
+    | {PAPER: "paper", GRID: "line", EDGE: "axis", BORDER: "edge", HATCH: "axis"}
+    | {LOOP: "loop", BAND: "band", GROUP: "group", WRONG: "bad"}
+)
 # Inches. A figure is one panel that is legible on a telephone. A page puts panels side by side.
 WIDTH = 5.6
 HEIGHT = 3.1
@@ -104,8 +77,6 @@ STYLE: dict[Any, Any] = {
     "text.usetex": False,
     "path.simplify_threshold": 0.2,
 }
-
-
 DPI = 120  # of a PNG, and of raster images within an SVG
 _LOCK = Lock()  # matplotlib's settings are global
 
@@ -146,9 +117,14 @@ def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Fi
 
 
 def make_figure(
-    draw: Callable[..., None], *arguments: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
-    legend_rows: int = 1, columns: int = 4,
-) -> Figure:  # fmt: skip
+    draw: Callable[..., None],
+    *arguments: Any,
+    title: str = "",
+    height: float = HEIGHT,
+    left: float = LEFT,
+    legend_rows: int = 1,
+    columns: int = 4,
+) -> Figure:
     """Return a figure of one panel, drawn by `draw(axes, *arguments)`, with a legend of all labels."""
     figure, (axes,) = panel(height, left=left, legend_rows=legend_rows)
     draw(axes, *arguments)
@@ -184,17 +160,8 @@ def _saved(figure: Figure, **options: Any) -> bytes:
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:
     """Draw measured values with 95 % bars."""
-    axes.errorbar(
-        number,
-        value,
-        yerr=HALF_WIDTH_95 * np.nan_to_num(np.abs(error)),
-        fmt="o",
-        ms=3.6,
-        color=MEASURED,
-        lw=1,
-        label="measured",
-        zorder=5,
-    )
+    bars = HALF_WIDTH_95 * np.nan_to_num(np.abs(error))
+    axes.errorbar(number, value, yerr=bars, fmt="o", ms=3.6, color=MEASURED, lw=1, label="measured", zorder=5)
 
 
 def number_axis(axes: Axes, number: np.ndarray) -> None:

@@ -2,18 +2,24 @@ r"""Equations of the model, and every symbol of the page with meaning and unit.
 
 Meaning and unit of parameters are those of `parameters.py`. A felt law has its own formula. All other symbols are
 listed here. The table of symbols is made from the formulas, so it is complete.
+
+A formula is HTML that looks alike in every browser, without a script or a mathematical font. Its notation is a part of
+TeX: letters, numbers and operators, `_` and `^`, braces, and the commands `\frac`, `\sqrt`, `\dot`, `\ddot` and
+`\op`, whose argument is upright. Greek letters, signs such as ∫ and spaces stay unchanged.
 """
 
 from __future__ import annotations
 
+import re
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
+from unicodedata import normalize
 
-from ..result.quantities import MEANINGS, UNITS
-from .formula import formula_html, symbols
+from ..schema.fit import Fit
+from ..schema.quantities import MEANINGS, UNITS
 from .text import SYMBOLS, VELOCITY_RATIO, format_unit
 
-__all__ = ["Equation", "Symbol", "equations"]
+__all__ = ["Equation", "Symbol", "equations", "formula_html", "symbols"]
 
 
 class Equation(NamedTuple):
@@ -81,27 +87,21 @@ VARIABLES = {
 INVARIANT_UNITS = {"f_0": "Hz", "B": "1", "M_H/M_S": "1", "x_0/L": "1", "F/M_S": "N/kg"}
 
 
-def equations(fit: dict[str, Any], felt: tuple[str, ...], *, path: bool, modes: bool) -> dict[str, Any]:
+def equations(fit: Fit, felt: tuple[str, ...]) -> dict[str, list]:
     """Return the equations of a fit as HTML, and the symbols of its page.
 
     Parameters
     ----------
-    fit : dict
-        The content of `fit.json`.
-    felt : tuple of str
-        The formula of the felt law; empty if it has none.
-    path : bool
-        The fit has an output path, not only a gain.
-    modes : bool
-        The key has measured modes.
+    fit : the fit. With an output path or measured modes, these have an equation.
+    felt : the formula of the felt law; empty if it has none.
 
     Returns
     -------
-    dict
-        `lines`: (name, formulas as HTML). `symbols`: a list of `Symbol`, first those of the equations in their order.
+    `lines`: (name, formulas as HTML). `symbols`: a list of `Symbol`, first those of the equations in their order.
     """
-    law = Equation(f"Felt: {fit['felt']}", felt or USER_LAW)
-    lines = [STRING, HAMMER, law, PATH if path else GAIN, *([MODES, T60] if modes else [])]
+    law = Equation(f"Felt: {fit.felt}", felt or USER_LAW)
+    has_modes = fit.modal_response is not None and fit.modal_response.response is not None
+    lines = [STRING, HAMMER, law, PATH if fit.pickup.path else GAIN, *([MODES, T60] if has_modes else [])]
     return {
         "lines": [(line.name, [_set(formula) for formula in line.formulas]) for line in lines],
         "symbols": _table(fit, lines, law),
@@ -116,7 +116,7 @@ def _set(formula: str) -> str:
         return f'<span class="formula">{escape(formula)}</span>'
 
 
-def _table(fit: dict[str, Any], lines: list[Equation], law: Equation) -> list[Symbol]:
+def _table(fit: Fit, lines: list[Equation], law: Equation) -> list[Symbol]:
     """Return the symbols of the equations, then those of the tables that no equation has."""
     common = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
     common |= {symbol: (common[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
@@ -131,13 +131,101 @@ def _table(fit: dict[str, Any], lines: list[Equation], law: Equation) -> list[Sy
     return [Symbol(*row) for row in unique]
 
 
-def _table_symbols(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
+def _table_symbols(fit: Fit) -> list[tuple[str, str, str]]:
     """Return symbol, meaning and unit of every invariant and parameter; a user law has its own meanings."""
     rows = []
-    for name, entry in {**fit["invariants"], **fit["parameters"]}.items():
+    for name, quantity in {**fit.invariants, **fit.parameters}.items():
         if name.startswith(VELOCITY_RATIO):
             rows.append(("v/v_ref", "velocity of a stroke over that of the reference recording", "1"))
         else:
-            meaning = str(entry.get("meaning") or MEANINGS.get(name, ""))
-            rows.append((str(SYMBOLS.get(name, name)), meaning, UNITS.get(name, str(entry.get("unit", "")))))
+            meaning = quantity.meaning or MEANINGS.get(name, "")
+            rows.append((SYMBOLS.get(name, name), meaning, UNITS.get(name, quantity.unit)))
     return rows
+
+
+# --- formulas as HTML -------------------------------------------------------------------------------------------------
+
+TOKEN = re.compile(r"\\[a-z]+|\s+|\d+(?:\.\d+)?|.")
+# A letter with its index, after commands and upright words have been removed.
+SYMBOL = re.compile(r"[^\W\d_](?:_(?:\{[^{}]*\}|\w))?")
+ACCENTED = re.compile(r"\\d?dot\{(\w)\}")  # so that the letter below an accent keeps its index
+UPRIGHT = re.compile(r"\\op\{[^{}]*\}|\\[a-z]+")
+DOTS = {r"\dot": "\u0307", r"\ddot": "\u0308"}  # combining
+SCRIPTS = {"_": "sub", "^": "sup"}
+
+
+def formula_html(formula: str) -> str:
+    r"""Return the formula as an HTML element.
+
+    Raises
+    ------
+    ValueError
+        If braces do not match, an argument is missing, or a command is not one of these.
+
+    Examples
+    --------
+    >>> formula_html(r"F = K_H u^2")
+    '<span class="formula"><i>F</i> = <i>K</i><sub><i>H</i></sub> <i>u</i><sup>2</sup></span>'
+    """
+    tokens = TOKEN.findall(formula)[::-1]
+    content = _row(tokens, formula)
+    if tokens:
+        raise ValueError(f"formula {formula!r}: a closing brace has no opening one")
+    return f'<span class="formula">{content}</span>'
+
+
+def symbols(formula: str) -> list[str]:
+    r"""Return the symbols of a formula with their indices, without repetition, in order.
+
+    Examples
+    --------
+    >>> symbols(r"F = K_H u^p (1 + μ \dot{u})")
+    ['F', 'K_H', 'u', 'p', 'μ']
+    """
+    names = SYMBOL.findall(UPRIGHT.sub(" ", ACCENTED.sub(r"\1", formula)))
+    return [*dict.fromkeys(symbol.replace("{", "").replace("}", "") for symbol in names)]
+
+
+def _row(tokens: list[str], formula: str) -> str:
+    """Convert everything up to a closing brace, which is not consumed. `tokens` are in reverse order."""
+    parts = []
+    while tokens and tokens[-1] != "}":
+        tag = SCRIPTS.get(tokens[-1])
+        if tag:
+            tokens.pop()
+            parts.append(f"<{tag}>{_element(tokens, formula)}</{tag}>")
+        else:
+            parts.append(_element(tokens, formula))
+    return "".join(parts)
+
+
+def _element(tokens: list[str], formula: str) -> str:
+    """Convert one sign, group or command with its arguments."""
+    if not tokens:
+        raise ValueError(f"formula {formula!r}: an argument is missing at the end")
+    sign = tokens.pop()
+    if sign == "{":
+        content = _row(tokens, formula)
+        if not tokens:
+            raise ValueError(f"formula {formula!r}: a brace is not closed")
+        tokens.pop()
+        return content
+    if sign.startswith("\\"):
+        return _command(sign, tokens, formula)
+    if sign.isspace():
+        return " "
+    text = escape("−" if sign == "-" else sign)
+    return f"<i>{text}</i>" if sign.isalpha() else text
+
+
+def _command(name: str, tokens: list[str], formula: str) -> str:
+    if name == r"\frac":
+        above, below = _element(tokens, formula), _element(tokens, formula)
+        return f'<span class="frac"><span>{above}</span><span>{below}</span></span>'
+    if name == r"\sqrt":
+        return f'√<span class="root">{_element(tokens, formula)}</span>'
+    if name == r"\op":
+        return re.sub("</?i>", "", _element(tokens, formula))
+    if name in DOTS:
+        return normalize("NFC", _element(tokens, formula).replace("</i>", f"{DOTS[name]}</i>"))
+    raise ValueError(f"formula {formula!r}: {name} must be one of \\frac, \\sqrt, \\op, {', '.join(DOTS)}")

@@ -1,4 +1,7 @@
-"""Figures of the page. The functions only draw the arrays of `FigureData`."""
+"""Figures of the reference recording: spectra, attack, partials, levels and hammer force.
+
+Each function takes a result and computes the curves that it draws.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..analysis import law_frequency
+from ..model import Simulation
+from ..result import Result
+from ..schema.fit import Criterion, PartialLevels
+from ..schema.notes import initial_note
 from .drawing import (
     BORDER,
     FAINT,
@@ -20,122 +28,100 @@ from .drawing import (
     log_axis,
     make_figure,
     number_axis,
-    page_style,
     panel,
     points,
     span,
-    svg,
 )
-from .figure_data import ContactCurves, FigureData, LevelCurves
-from .figures_identifiability import draw_felt, draw_identifiability
-from .figures_modal_response import draw_modal_response
-from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 from .text import BANDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COMPARED", "draw_attack", "draw_figures", "draw_force", "draw_levels", "draw_loop", "draw_spectrum"]
+__all__ = [
+    "attack_waves",
+    "draw_attack",
+    "draw_attacks",
+    "draw_contact",
+    "draw_force",
+    "draw_levels",
+    "draw_loop",
+    "draw_partials",
+    "draw_reference_levels",
+    "draw_spectra",
+    "draw_spectrum",
+    "spectrum_db",
+]
 
-# The three curves of most figures.
-COMPARED = ("measured", "initial", "fitted")
-ATTACK_TITLES = {"initial": "Before the fit", "fitted": "After the fit"}
+ATTACK_S = 0.03
+# Damping of the spectra, 1/s. The peaks are narrow enough to separate partials and wide enough to be visible.
+SPECTRUM_SIGMA = 8.0
+HIGHEST_FREQUENCY = 12_000.0  # Hz, of the spectra: higher partials are weak
 # Positions of the arrows on a loop, as shares of the largest force. They differ so that the arrows do not overlap.
 RISING, FALLING = 0.6, 0.35
+ARROW = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # outline of an arrowhead, pointing right
 # Decay rates below this share of the slowest of the string are drawn at the edge of the axis.
 SLOWEST = 0.1
 NODE = 60.0  # dB below all measured levels; lower levels are not drawn
-ARROW = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # outline of an arrowhead, pointing right
 
 
-def draw_figures(
-    curves: FigureData, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
-) -> dict[str, list[bytes]]:
-    """Draw all figures of the page that have data: name -> SVGs of the panels."""
-    with page_style():
-        figures = {
-            "spectra": _spectra(curves, dropped),
-            "attack": [make_figure(draw_attack, curves, name, title=title) for name, title in ATTACK_TITLES.items()],
-            "partials": _partials(curves),
-            "levels": [make_figure(draw_levels, curves, title="Levels"), _residuals(curves)],
-            "force": [
-                make_figure(draw_force, curves, title="Force over time"),
-                make_figure(draw_loop, curves, title="Force over compression"),
-            ],
-        }
-        if len(curves.recordings) > 1:
-            figures["recordings"] = draw_recordings(curves.recordings)
-        if len(curves.recordings) > 1 and curves.paths:
-            figures["paths"] = draw_paths(curves.paths)
-        if held_out:
-            figures["held_out"] = draw_held_out(held_out)
-        if curves.felt is not None:
-            figures["felt"] = draw_felt(curves.felt, curves.recordings)
-        if curves.identifiability is not None:
-            figures["identifiability"] = draw_identifiability(curves.identifiability)
-        if curves.ringing is not None:
-            figures |= draw_modal_response(curves.ringing)
-        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
+# --- spectra and attack -----------------------------------------------------------------------------------------------
 
 
-def _spectra(curves: FigureData, dropped: tuple[str, ...]) -> list[Figure]:
-    """Draw two panels if band 3 is much wider than the others, so that the first partials are visible."""
-    edges = _band_edges(curves, dropped)
+def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies, Hz, and levels, dB, up to `top`, Hz, of the spectrum of the samples times exp(-σt)."""
+    n = min(len(samples), int(14 / SPECTRUM_SIGMA * rate))
+    size = 2 ** int(np.ceil(np.log2(n)))
+    value = np.abs(np.fft.rfft(samples[:n] * np.exp(-SPECTRUM_SIGMA * np.arange(n) / rate), size)) / rate
+    keep = slice(1, int(top * size / rate))
+    return np.fft.rfftfreq(size, 1 / rate)[keep], 20 * np.log10(np.maximum(value[keep], 1e-15))
+
+
+def draw_spectra(result: Result) -> list[Figure]:
+    """Draw the spectra: two panels if the last band is much wider than the others, to show the first partials."""
+    edges = _band_edges(result.fit.criterion, _highest_frequency(result))
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     limits = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    return [make_figure(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(limits)]
+    return [make_figure(draw_spectrum, result, part) for part in pairwise(limits)]
 
 
-def _draw_spectra(
-    axes: Axes, curves: FigureData, edges: list[tuple[float, float, str, bool]], low: float, high: float
-) -> None:
-    for name in COMPARED:
-        axes.plot(curves.frequency, curves.spectra[name], label=name, **LINES[name])
-    bottom, top = span(curves.spectra["measured"], curves.spectra["fitted"])
-    axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)",
-             ylabel="level (dB)")  # fmt: skip
-    _shade_bands(axes, edges)
+def draw_spectrum(axes: Axes, result: Result, part: tuple[float, float] | None = None) -> None:
+    """Draw measured, initial and fitted spectrum, and the bands of the criterion.
+
+    With a `part` of the frequencies, Hz, the bands have names.
+    """
+    recording, top = result.recording, _highest_frequency(result)
+    sounds = {"measured": recording.samples, "initial": result.initial.samples, "fitted": result.fitted.samples}
+    spectra = {name: spectrum_db(samples[recording.onset :], recording.rate, top) for name, samples in sounds.items()}
+    for name, (frequency, db) in spectra.items():
+        axes.plot(frequency, db, label=name, **LINES[name])
+    edges = _band_edges(result.fit.criterion, top)
+    bottom, highest = span(spectra["measured"][1], spectra["fitted"][1])
+    axes.set(xlim=part or (edges[0][0], edges[-1][1]), ylim=(max(bottom, highest - 110) - 6, highest + 12))
+    axes.set(xlabel="frequency (Hz)", ylabel="level (dB)")
+    _shade_bands(axes, edges, named=part is not None)
 
 
-def _band_edges(curves: FigureData, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
+def _highest_frequency(result: Result) -> float:
+    analysis, rate = result.analysis, result.recording.rate
+    above_partials = float(law_frequency(analysis.f0, analysis.B, analysis.partials.number.max() + 2))
+    return min(0.5 * rate, HIGHEST_FREQUENCY, above_partials)
+
+
+def _band_edges(criterion: Criterion, end: float) -> list[tuple[float, float, str, bool]]:
     """Return (low, high, label, is excluded) of each visible band. Bands have names if their borders match a set."""
-    borders = [border for border in curves.borders if np.isfinite(border)]
-    pairs = list(pairwise(borders)) or [span(curves.frequency)]
-    used = [name for name in BANDS if name not in dropped]
+    excluded, borders = criterion.excluded_bands, [border for border in criterion.borders if np.isfinite(border)]
+    pairs = list(pairwise(borders)) or [(0.0, end)]
+    used = [name for name in BANDS if name not in excluded]
     names = list(BANDS) if len(pairs) == len(BANDS) else used if len(pairs) == len(used) else [""] * len(pairs)
-    end = curves.frequency[-1]
     return [
-        (low, min(high, end), BANDS.get(name, "") + (", excluded" if name in dropped else ""), name in dropped)
+        (low, min(high, end), BANDS.get(name, "") + (", excluded" if name in excluded else ""), name in excluded)
         for (low, high), name in zip(pairs, names, strict=True)
         if low < end
     ]
 
 
-def draw_spectrum(axes: Axes, curves: FigureData, dropped: tuple[str, ...]) -> None:
-    """Draw measured, initial and fitted spectrum, and the bands of the criterion."""
-    edges = [(low, high, "", is_excluded) for low, high, _, is_excluded in _band_edges(curves, dropped)]
-    _draw_spectra(axes, curves, edges, edges[0][0], edges[-1][1])
-
-
-def draw_force(axes: Axes, curves: FigureData | ContactCurves) -> None:
-    """Draw the hammer force over time before and after the fit."""
-    for name, force in curves.force.items():
-        axes.plot(curves.force_ms, force, label=name, **LINES[name])
-    axes.set(xlabel="time from the first contact (ms)", ylabel="force (N)")
-    axes.set_ylim(bottom=0.0)
-
-
-def draw_levels(axes: Axes, curves: FigureData | LevelCurves) -> None:
-    """Draw the levels of the partials, measured, initial and fitted."""
-    axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
-    axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
-    points(axes, curves.number, curves.levels["measured"], curves.level_error)
-    axes.set(xlabel="partial number k", ylabel="level (dB)")
-    number_axis(axes, curves.number)
-
-
-def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:
+def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]], named: bool) -> None:
     start, stop = axes.get_xlim()
     for index, (low, high, label, is_excluded) in enumerate(edges):
         low, high = max(low, start), min(high, stop)
@@ -147,6 +133,8 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
             axes.axvspan(low, high, color=FAINT, lw=0, zorder=0)
         for edge in {low, high} - {start, stop}:
             axes.axvline(edge, color=BORDER, lw=0.8, ls=":", zorder=1)
+        if not named:
+            continue
         is_narrow = (high - low) < 0.25 * (stop - start)
         text = label.split(":")[0] + (", excluded" if is_excluded else "") if is_narrow else label
         # Right-aligned in a narrow band at the end, so that the text stays within the frame.
@@ -154,81 +142,176 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         axes.text(x, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def draw_attack(axes: Axes, curves: FigureData, name: str) -> None:
+def draw_attacks(result: Result) -> list[Figure]:
+    """Draw the waveform before and after the fit."""
+    titles = {"initial": "Before the fit", "fitted": "After the fit"}
+    return [make_figure(draw_attack, result, name, title=title) for name, title in titles.items()]
+
+
+def attack_waves(result: Result) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return times, ms from the onset, and the first samples of the measured, initial and fitted sound."""
+    recording = result.recording
+    attack = slice(recording.onset, recording.onset + int(ATTACK_S * recording.rate))
+    sounds = {
+        "measured": recording.samples,
+        "initial": result.initial.samples,
+        "fitted": result.reference.final.samples,
+    }
+    waves = {name: samples[attack] for name, samples in sounds.items()}
+    return 1e3 * np.arange(len(waves["measured"])) / recording.rate, waves
+
+
+def draw_attack(axes: Axes, result: Result, name: str) -> None:
     """Draw the waveforms of the first milliseconds, with one scale for all panels."""
+    ms, waves = attack_waves(result)
     for curve in ("measured", name):
-        axes.plot(curves.attack_ms, curves.attack[curve], label=curve, **LINES[curve])
-    low, high = span(*curves.attack.values())
+        axes.plot(ms, waves[curve], label=curve, **LINES[curve])
+    low, high = span(*waves.values())
     margin = 0.05 * max(high - low, 1e-12)
     axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - margin, high + margin))
 
 
-def _partials(curves: FigureData) -> list[Figure]:
+# --- partials ---------------------------------------------------------------------------------------------------------
+
+
+def draw_partials(result: Result) -> list[Figure]:
+    """Draw frequencies and decay rates of the partials."""
+    return [_frequencies(result), make_figure(_draw_decays, result, height=HEIGHT + 0.12)]
+
+
+def _frequencies(result: Result) -> Figure:
+    """Draw the deviations of the partials from k f0, and below them their residuals from the stiff string."""
+    partials, f0, B = result.analysis.partials, result.fit.derived.f0, result.fit.derived.B
+    k = partials.number
+    measured, fitted = (1200 * np.log2(f / (k * f0)) for f in (partials.frequency, law_frequency(f0, B, k)))
+    error = 1200 / np.log(2) * partials.frequency_error / partials.frequency
     figure, (cents, residual) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
-    points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
-    cents.plot(curves.number, curves.frequency_cents_law, label="fitted string", **LINES["fitted"])
+    points(cents, k, measured, error)
+    cents.plot(k, fitted, label="fitted string", **LINES["fitted"])
     cents.set(title="Frequency", ylabel="cents above k·f₀")
-    points(residual, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
+    points(residual, k, measured - fitted, error)
     residual.axhline(0.0, **LINES["fitted"])
     residual.set(ylabel="residual (cents)", xlabel="partial number k")
-    number_axis(cents, curves.number)
+    number_axis(cents, k)
     legend(figure, cents)
-    return [figure, make_figure(_draw_decays, curves, height=HEIGHT + 0.12)]
+    return figure
 
 
-def _draw_decays(axes: Axes, curves: FigureData) -> None:
+def _draw_decays(axes: Axes, result: Result) -> None:
+    partials, note = result.analysis.partials, result.note
+    k, decay = partials.number, partials.decay
+    fitted = note.string.b1 + note.string.b2 * (k * np.pi / note.geometry.length) ** 2
     # With beats, an estimated decay rate can be near zero. It would compress the range of all others.
-    bottom = SLOWEST * float(np.min(curves.decay_law))
-    in_range = ~(curves.decay < bottom)
-    points(axes, curves.number[in_range], curves.decay[in_range], curves.decay_error[in_range])
-    if not in_range.all():
-        axes.plot(curves.number[~in_range], np.full((~in_range).sum(), bottom), "v", mfc="none", color=MEASURED,
-                  label="below this axis")  # fmt: skip
-    axes.plot(curves.number, curves.decay_law, label="fitted string", **LINES["fitted"])
+    bottom = SLOWEST * float(np.min(fitted))
+    below = decay < bottom
+    points(axes, k[~below], decay[~below], partials.decay_error[~below])
+    if below.any():
+        axes.plot(k[below], np.full(below.sum(), bottom), "v", mfc="none", color=MEASURED, label="below this axis")
+    axes.plot(k, fitted, label="fitted string", **LINES["fitted"])
     if bottom > 0:
         axes.set_yscale("log")
         log_axis(axes.yaxis)
     axes.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
-    number_axis(axes, curves.number)
+    number_axis(axes, k)
 
 
-def _residuals(curves: FigureData) -> Figure:
+def draw_reference_levels(result: Result) -> list[Figure]:
+    """Draw the levels of the partials and their residuals."""
+    return [make_figure(draw_levels, result.fit.reference.partials, title="Levels"), _residuals(result)]
+
+
+def draw_levels(axes: Axes, levels: PartialLevels) -> None:
+    """Draw the levels of the partials, measured, initial and fitted."""
+    for name, marker, model in _model_levels(levels):
+        axes.plot(levels.number, model, marker=marker, ms=3.4, label=name, **LINES[name])
+    points(axes, levels.number, levels.measured, levels.error)
+    axes.set(xlabel="partial number k", ylabel="level (dB)")
+    number_axis(axes, levels.number)
+
+
+def _model_levels(levels: PartialLevels) -> list[tuple[str, str, np.ndarray]]:
+    """Return name, marker and levels, dB, before and after the fit.
+
+    Levels far below all measured ones are NaN, because a given strike position can be on a node.
+    """
+    lowest = span(levels.measured)[0] - NODE
+    columns = (("initial", "s", levels.initial), ("fitted", "o", levels.fitted))
+    return [(name, marker, np.where(level > lowest, level, np.nan)) for name, marker, level in columns]
+
+
+def _residuals(result: Result) -> Figure:
     """Draw the residuals of the levels, and below them the output path if there is one."""
-    path = curves.path
+    levels, path, partials = result.fit.reference.partials, result.note.path, result.analysis.partials
     figure, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
-    for name, marker in (("initial", "s"), ("fitted", "o")):
-        residual = _without_nodes(curves, name) - curves.levels["measured"]
-        error.plot(curves.number, residual, marker=marker, ms=3.4, label=name, **LINES[name])
+    for name, marker, model in _model_levels(levels):
+        error.plot(levels.number, model - levels.measured, marker=marker, ms=3.4, label=name, **LINES[name])
     error.axhline(0.0, color=MEASURED, lw=1)
     error.set(title="Residuals", ylabel="model − measured (dB)")
     if path is not None:
-        below[0].plot(curves.number, path, color=FITTED, lw=1.4, marker="D", ms=3)
+        below[0].plot(partials.number, path.at(partials.frequency), color=FITTED, lw=1.4, marker="D", ms=3)
         below[0].set_ylabel("output path (dB)")
     (below or [error])[-1].set_xlabel("partial number k")
-    number_axis(error, curves.number)
+    number_axis(error, levels.number)
     legend(figure, error)
     return figure
 
 
-def _without_nodes(curves: FigureData | LevelCurves, name: str) -> np.ndarray:
-    """Return levels, dB, with NaN far below all measured ones, because a given strike position can be on a node."""
-    low, _ = span(curves.levels["measured"])
-    level = curves.levels[name]
-    return np.where(level > low - NODE, level, np.nan)
+# --- contact ----------------------------------------------------------------------------------------------------------
 
 
-def draw_loop(axes: Axes, curves: FigureData) -> None:
-    """Draw force over compression, with arrowheads for the direction."""
-    for name in ("initial", "fitted"):
-        x, force = curves.compression[name], curves.force[name]
-        contact = np.where(x > 0, 1.0, np.nan)
-        axes.plot(x * contact, force * contact, label=name, **LINES[name])
-    axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    axes.set_xlim(0.0, 1.05 * max(span(*curves.compression.values())[1], 1e-9))
+def draw_contact(result: Result) -> list[Figure]:
+    """Draw the hammer force over time, and over the compression of the felt."""
+    titles = {draw_force: "Force over time", draw_loop: "Force over compression"}
+    return [make_figure(draw, result, title=title) for draw, title in titles.items()]
+
+
+def _strokes(result: Result) -> dict[str, Simulation]:
+    """Return the initial and the fitted stroke of the reference recording, simulated again if there are none."""
+    if result.recordings:
+        return {"initial": result.initial.simulation, "fitted": result.fitted.simulation}
+    row = result.fit.reference
+    notes = {"initial": initial_note(result.fit, row, result.note), "fitted": result.note}
+    return {name: note.strike(round(row.rate)) for name, note in notes.items()}
+
+
+def _contact(result: Result) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Return times, ms from the first contact, and compression, mm, and force, N, before and after the fit."""
+    strokes = _strokes(result)
+    # 10 % longer than the last contact.
+    steps = max(int(1.1 * stroke.last_touch / float(stroke.modes.step)) + 2 for stroke in strokes.values())
+
+    def padded(values: Any) -> np.ndarray:
+        values = np.asarray(values)[:steps]
+        return np.pad(values, (0, steps - len(values)), constant_values=np.nan)
+
+    curves = {
+        name: (1e3 * padded(stroke.pulse.compression), padded(stroke.pulse.force)) for name, stroke in strokes.items()
+    }
+    return 1e3 * float(strokes["fitted"].modes.step) * np.arange(steps), curves
+
+
+def draw_force(axes: Axes, result: Result) -> None:
+    """Draw the hammer force over time before and after the fit."""
+    ms, curves = _contact(result)
+    for name, (_, force) in curves.items():
+        axes.plot(ms, force, label=name, **LINES[name])
+    axes.set(xlabel="time from the first contact (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
-    for name in ("initial", "fitted"):
-        for position, step in _arrow_positions(curves.compression[name], curves.force[name]):
-            marker = _arrowhead(_angle(axes, position, step))
+
+
+def draw_loop(axes: Axes, result: Result) -> None:
+    """Draw force over compression, with arrowheads for the direction."""
+    _, curves = _contact(result)
+    for name, (compression, force) in curves.items():
+        contact = np.where(compression > 0, 1.0, np.nan)
+        axes.plot(compression * contact, force * contact, label=name, **LINES[name])
+    axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
+    axes.set_xlim(0.0, 1.05 * max(span(*(compression for compression, _ in curves.values()))[1], 1e-9))
+    axes.set_ylim(bottom=0.0)
+    for name, (compression, force) in curves.items():
+        for position, step in _arrow_positions(compression, force):
+            dx, dy = axes.transData.transform(position + step) - axes.transData.transform(position)
+            marker = [(float(z.real), float(z.imag)) for z in ARROW * np.exp(1j * np.arctan2(dy, dx))]
             axes.plot(*position, marker=marker, ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 
@@ -246,15 +329,3 @@ def _arrow_positions(compression: np.ndarray, force: np.ndarray) -> list[tuple[n
             step = curve[start + 1] - curve[start]
             arrows.append((curve[start] + step * (level - force[start]) / step[1], step))
     return arrows
-
-
-def _arrowhead(angle: float) -> list[tuple[float, float]]:
-    """Return a slender arrowhead in the direction `angle`, degrees, as a marker."""
-    turn = np.exp(1j * np.radians(angle))
-    return [(float(z.real), float(z.imag)) for z in ARROW * turn]
-
-
-def _angle(axes: Axes, point: np.ndarray, step: np.ndarray) -> float:
-    """Return the direction of a step from a point on the page, degrees."""
-    dx, dy = axes.transData.transform(point + step) - axes.transData.transform(point)
-    return float(np.degrees(np.arctan2(dy, dx)))

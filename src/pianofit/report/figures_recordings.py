@@ -6,76 +6,84 @@ Recordings are identified by number and velocity, so that text from outside does
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .drawing import FITTED, GROUP, HEIGHT, INITIAL, INK, LAW, LINES, MEASURED, make_figure, number_axis, points, span
-from .figure_data import RecordingCurves
+from ..schema.fit import Fit, PathEntry, RecordingFit
+from .drawing import FITTED, GROUPS, HEIGHT, INITIAL, INK, LINES, MEASURED, make_figure, number_axis, points, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_held_out", "draw_paths", "draw_recordings"]
+    from ..result.cross_validation import LeftOutRecording
+
+__all__ = ["draw_left_out", "draw_paths", "draw_recordings"]
 
 MOST_UPRIGHT = 6  # with more labels, they are rotated
-GROUPS = (FITTED, LAW, GROUP, INITIAL)  # Okabe and Ito
-HELD_OUT = (  # key, label, marker style
-    ("predicted_db", "prediction by a fit of the others", {"marker": "o", "color": FITTED, "ms": 8}),
-    ("nearest_db", "nearest other recording instead", {"marker": "s", "mec": INITIAL, "mfc": "none", "ms": 7.5}),
-    ("blend_db", "best blend of the two neighbours", {"marker": "D", "mec": MEASURED, "mfc": "none", "ms": 6.5}),
-)
+LEFT_OUT = {  # attribute -> label, marker style
+    "predicted_db": ("prediction by a fit of the others", {"marker": "o", "color": FITTED, "ms": 8}),
+    "nearest_db": ("nearest other recording instead", {"marker": "s", "mec": INITIAL, "mfc": "none", "ms": 7.5}),
+    "blend_db": ("best blend of the two neighbours", {"marker": "D", "mec": MEASURED, "mfc": "none", "ms": 6.5}),
+}
 
 
-def draw_recordings(recordings: Sequence[RecordingCurves]) -> list[Figure]:
-    """Draw the levels of the partials, a panel for each recording from soft to loud, with one scale."""
-    in_order = sorted(recordings, key=lambda recording: recording.velocity)
-    figures = [make_figure(_levels, recording, height=0.75 * HEIGHT) for recording in in_order]
+def draw_recordings(fit: Fit) -> list[Figure]:
+    """Draw the levels of the partials, a panel for each recording from soft to loud, with one scale; [] for one."""
+    if len(fit.recordings) == 1:
+        return []
+    rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].v_H0)
+    figures = [make_figure(_draw_recording, *row, height=0.75 * HEIGHT) for row in rows]
     panels = [figure.axes[0] for figure in figures]
     low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
     for axes in panels:
-        number_axis(axes, np.concatenate([recording.number for recording in recordings]))
+        number_axis(axes, np.concatenate([row.partials.number for row in fit.recordings]))
         axes.set_ylim(min(low), max(high))
     return figures
 
 
-def _levels(axes: Axes, recording: RecordingCurves) -> None:
-    axes.plot(recording.number, recording.level_fitted, marker="o", ms=2.6, label="fitted", **LINES["fitted"])
-    points(axes, recording.number, recording.level, recording.level_error)
-    title = f"recording {recording.place}: {recording.velocity:.3g} m/s, error {recording.error_db:.1f} dB"
-    axes.set(title=title, ylabel="level (dB)", xlabel="partial number k")
+def _draw_recording(axes: Axes, place: int, row: RecordingFit) -> None:
+    levels = row.partials
+    axes.plot(levels.number, levels.fitted, marker="o", ms=2.6, label="fitted", **LINES["fitted"])
+    points(axes, levels.number, levels.measured, levels.error)
+    axes.set_title(f"recording {place}: {row.v_H0:.3g} m/s, error {row.levels.fitted_db:.1f} dB")
+    axes.set(ylabel="level (dB)", xlabel="partial number k")
 
 
-def draw_paths(paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Figure]:
-    """Draw the output path at the partials, in one colour for each path group."""
-    return [make_figure(_paths, paths, legend_rows=len(paths) > 1)]
+def draw_paths(fit: Fit) -> list[Figure]:
+    """Draw the output path at the partials, in one colour for each path group; [] for one or calibrated recordings."""
+    groups = fit.pickup.paths
+    paths = [groups[group] for group in sorted(groups, key=int)] or [fit.pickup.path]
+    if len(fit.recordings) == 1 or None in paths:
+        return []
+    return [make_figure(_draw_paths, paths, legend_rows=len(paths) > 1)]
 
 
-def _paths(axes: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    lowest, highest = span(*(db for _, db in paths))
+def _draw_paths(axes: Axes, paths: Sequence[PathEntry]) -> None:
+    lowest, highest = span(*(path.db for path in paths))
     extent = max(highest - lowest, 1.0)
     bottom = lowest - 0.08 * extent
-    for i, (frequency, db) in enumerate(paths):
+    for i, path in enumerate(paths):
         colour = GROUPS[i % len(GROUPS)]
-        axes.vlines(frequency, bottom, db, color=colour, lw=1.6, alpha=0.45)
-        axes.plot(frequency, db, "o", ms=4, color=colour, label=f"path group {i}" if len(paths) > 1 else "")
+        axes.vlines(path.frequency, bottom, path.db, color=colour, lw=1.6, alpha=0.45)
+        axes.plot(path.frequency, path.db, "o", ms=4, color=colour, label=f"path group {i}" if len(paths) > 1 else "")
     axes.set(xlabel="frequency (Hz)", ylabel="output path (dB)", ylim=(bottom, highest + 0.06 * extent))
-    low, high = span(*(frequency for frequency, _ in paths))
+    low, high = span(*(path.frequency for path in paths))
     axes.set_xlim(low - 0.02 * (high - low) - 1.0, high + 0.02 * (high - low) + 1.0)
 
 
-def draw_held_out(recordings: Sequence[dict[str, Any]]) -> list[Figure]:
+def draw_left_out(recordings: Sequence[LeftOutRecording]) -> list[Figure]:
     """Draw the errors of each recording left out, in order of velocity, with two references without a model."""
-    return [make_figure(_held_out, recordings, legend_rows=len(HELD_OUT), columns=1)]
+    return [make_figure(_draw_left_out, recordings, legend_rows=len(LEFT_OUT), columns=1)] if recordings else []
 
 
-def _held_out(axes: Axes, recordings: Sequence[dict[str, Any]]) -> None:
+def _draw_left_out(axes: Axes, recordings: Sequence[LeftOutRecording]) -> None:
     places = np.arange(len(recordings))
-    for key, label, style in HELD_OUT:
-        value = np.array([recording[key] for recording in recordings], float)  # NaN where it is None
-        axes.plot(places, value, ls="none", mew=1.6, label=label, zorder=3, **style)
-    top = span(*(np.array([recording[key] or 0.0 for recording in recordings]) for key, *_ in HELD_OUT))[1]
+    errors = {name: np.array([getattr(row, name) for row in recordings], float) for name in LEFT_OUT}  # NaN for None
+    for name, (label, style) in LEFT_OUT.items():
+        axes.plot(places, errors[name], ls="none", mew=1.6, label=label, zorder=3, **style)
+    top = span(*errors.values())[1]
     axes.set(ylim=(0.0, 1.12 * max(top, 0.1)), xlim=(-0.5, len(recordings) - 0.5), ylabel="error of the levels (dB)")
-    axes.set_xticks(places, [f"{recording['v_H0']:.3g} m/s" for recording in recordings], color=INK)
+    axes.set_xticks(places, [f"{row.v_H0:.3g} m/s" for row in recordings], color=INK)
     axes.tick_params(axis="x", labelrotation=30 if len(recordings) > MOST_UPRIGHT else 0)

@@ -3,6 +3,10 @@
 The content security policy of a page (`kit.html.j2`) forbids loading anything. It allows only the script of the page,
 identified by its hash, and parts that this script creates. All text from outside passes through Jinja's autoescape, and
 none of it is put into a script.
+
+A figure of matplotlib becomes one SVG element with selectable text. Every colour of the style becomes a property of
+`page.css`, which has one value for light and one for dark pages. Therefore a swatch in a caption always has the colour
+of its line. Colour maps keep their numbers. They get the class `shades`, which the style inverts on dark pages.
 """
 
 from __future__ import annotations
@@ -14,9 +18,10 @@ import re
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from ..io.files import replace_file
-from .inline_svg import inlined
+from .drawing import COLOURS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -26,6 +31,8 @@ __all__ = ["asset", "data_uri", "page_bytes", "picture", "templates", "write_pag
 KIT = "pianofit.report"
 # A heading with an id, for the table of contents.
 HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')
+SVG = "{http://www.w3.org/2000/svg}"
+REFERENCE = re.compile(r"url\(#([^)]+)\)")
 
 
 def write_page(path: str | os.PathLike[str], template: str, **page: Any) -> None:
@@ -34,9 +41,17 @@ def write_page(path: str | os.PathLike[str], template: str, **page: Any) -> None
 
 
 def page_bytes(
-    template: str, *, package: str = KIT, styles: tuple[str, ...] = (), scripts: tuple[str, ...] = (),
-    filters: dict[str, Callable] | None = None, strict: bool = True, title: str, contents: bool = False, **content: Any,
-) -> bytes:  # fmt: skip
+    template: str,
+    *,
+    package: str = KIT,
+    styles: tuple[str, ...] = (),
+    scripts: tuple[str, ...] = (),
+    filters: dict[str, Callable] | None = None,
+    strict: bool = True,
+    title: str,
+    contents: bool = False,
+    **content: Any,
+) -> bytes:
     """Return one self-contained page.
 
     Parameters
@@ -49,14 +64,15 @@ def page_bytes(
     strict : if True, a missing entry of `content` is an error; otherwise it is empty.
     """
     script = "".join(asset(name, package) for name in scripts)
-    html = templates(package, strict=strict, filters=filters).get_template(template).render(
+    page = templates(package, strict=strict, filters=filters).get_template(template)
+    html = page.render(
         title=title,
         contents=contents,
         style="".join(asset(name, package) for name in ("page.css", *styles)),
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         **content,
-    )  # fmt: skip
+    )
     return html.encode("utf-8", errors="replace")
 
 
@@ -67,16 +83,14 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     from ..io.number_format import counted, number
 
     environment = Environment(
-        loader=FunctionLoader(lambda name: asset(name, package)), autoescape=True, trim_blocks=True,
-        lstrip_blocks=True, undefined=StrictUndefined if strict else Undefined,
-    )  # fmt: skip
+        loader=FunctionLoader(lambda name: asset(name, package)),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined if strict else Undefined,
+    )
     environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
     return environment
-
-
-def picture(panels: Sequence[bytes]) -> list[str]:
-    """Return the panels of a picture as HTML elements, for the macro `picture`."""
-    return [inlined(svg) for svg in panels]
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -88,3 +102,63 @@ def asset(name: str, package: str) -> str:
     """Return the text of a file of `package`, or of this package if that one does not have it."""
     file = files(package).joinpath(name)
     return (file if file.is_file() else files(KIT).joinpath(name)).read_text(encoding="utf-8")
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def picture(panels: Sequence[bytes]) -> list[str]:
+    """Return the panels of a picture, from `drawing.svg`, as HTML elements for the macro `picture`.
+
+    Each is as wide as its frame, and its ids differ from those of all other figures.
+    """
+    return [_svg_element(svg) for svg in panels]
+
+
+def _svg_element(svg: bytes) -> str:
+    root = ElementTree.fromstring(svg)  # noqa: S314  (written by matplotlib just now)
+    values = [value for node in root.iter() for value in node.attrib.values()]
+    referenced = {value[1:] for value in values if value.startswith("#")}
+    referenced |= {name for value in values for name in REFERENCE.findall(value)}
+    _clean(root, f"f{hashlib.sha256(svg).hexdigest()[:8]}-", referenced)
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _clean(node: ElementTree.Element, prefix: str, referenced: set[str]) -> None:
+    """Convert an element and its children to HTML: no namespaces, no unused ids, colours by property."""
+    # A style sheet would apply to the whole page.
+    for child in [child for child in node if child.tag in (f"{SVG}metadata", f"{SVG}style")]:
+        node.remove(child)
+    node.tag = node.tag.removeprefix(SVG)
+    node.attrib = _attributes(node.attrib, prefix, referenced)
+    for child in node:
+        _clean(child, prefix, referenced)
+    if node.tag not in ("text", "tspan"):  # white space between elements
+        node.text = None
+    elif parts := list(node):  # parts of a formula, sorted from left to right for selecting and copying
+        node.text = None
+        node[:] = sorted(parts, key=lambda part: float(part.get("x", "0").split()[0]))
+    node.tail = None
+
+
+def _attributes(given: dict[str, str], prefix: str, referenced: set[str]) -> dict[str, str]:
+    attributes = {}
+    for name, value in given.items():
+        if name == "id":
+            if value.startswith("QuadMesh"):
+                attributes["class"] = "shades"
+            if value in referenced:
+                attributes["id"] = prefix + value
+        elif name == "{http://www.w3.org/1999/xlink}href":
+            attributes["href"] = value.replace("#", f"#{prefix}", 1) if value.startswith("#") else value
+        else:
+            value = REFERENCE.sub(rf"url(#{prefix}\1)", value)
+            is_style = name == "style"
+            attributes[name] = re.sub(r"#[0-9a-f]{6}\b", _property, value) if is_style else " ".join(value.split())
+    return attributes
+
+
+def _property(colour: re.Match[str]) -> str:
+    return f"var(--{COLOURS[colour[0]]})" if colour[0] in COLOURS else colour[0]

@@ -5,155 +5,216 @@ The player reads its sounds from the download links, so that each sound is in th
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import reduce
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..felt import LAWS
-from ..io import number_format
-from ..io.files import replace_strings
-from . import identifiability_text, text
+from ..errors import FitError, ParameterError
+from ..felt import LAWS, law_of
+from ..io.files import json_text
+from ..io.number_format import number
+from ..parameters import PARAMETERS
+from ..result import Result
+from ..schema.decode import builtins_of
+from ..schema.quantities import Quantities
+from . import text
+from .drawing import page_style, svg
 from .equations import equations
-from .figure_data import FigureData, RecordingCurves, Strokes
-from .figures import draw_figures
+from .figures import draw_attacks, draw_contact, draw_partials, draw_reference_levels, draw_spectra
+from .figures_recordings import draw_left_out, draw_paths, draw_recordings
 from .html import page_bytes, picture
+from .identifiability import draw_identifiability, felt_scale, identifiability_sections, is_scale_open
+from .modal_response import decay_rows, draw_envelopes, draw_spectrograms, modal_response_text
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
+from .static_law import draw_felt
 
-__all__ = ["FigureData", "report_bytes"]
+if TYPE_CHECKING:
+    from ..result.cross_validation import CrossValidation
+
+__all__ = ["Strokes", "draw_figures", "report_bytes", "strokes_of"]
 
 # Length of the sounds of the reference recording in stereo, s; in mono it is `SECONDS`.
 STEREO_SECONDS = 5.0
 # Samples of the sounds of all other recordings together: 2 MB.
 OTHER_SAMPLES = 1_000_000
 LONGEST_OTHER, SHORTEST_OTHER = 4.0, 1.5  # s, of each of these sounds
-# Functions of the content of `fit.json`. The template uses each result by the name of its function.
-TEXTS = (
-    text.notices,
-    text.summary_tiles,
-    text.groups,
-    text.comparison,
-    text.glide,
-    text.bands,
-    text.minima,
-    text.interval_method_text,
-    identifiability_text.identifiability_sections,
-    identifiability_text.felt_scale,
-    identifiability_text.open_scale,
-    identifiability_text.is_power_law,
-)
-OPTIONAL_FIGURES = ("recordings", "paths", "held_out", "felt", "identifiability")
+STROKES = 7  # velocities of the slider
+STROKE_SECONDS = 2.5
+# Recordings whose velocities differ by less than this ratio do not define a range of velocities. The slider then goes
+# down and up by the second ratio.
+SMALLEST_RANGE, DEFAULT_RANGE = 1.3, 2.0
 
 
-def report_bytes(fit: dict[str, Any], curves: FigureData, title: str, held_out: dict[str, Any] | None = None) -> bytes:
+def report_bytes(result: Result, title: str, held_out: CrossValidation | None = None) -> bytes:
     """Return the page.
 
     Parameters
     ----------
-    fit
-        The content of `fit.json`, of this version.
-    title
-        Plain text, such as the name of the file and the note.
-    held_out
-        Result of `cross_validate` for the same recordings, to be added to the page.
+    title : plain text, such as the name of the file and the note.
+    held_out : result of `cross_validate` for the same recordings, to be added to the page.
+
+    Raises
+    ------
+    FitError
+        If the fit was loaded from a file and a recording is missing or was changed.
     """
-    # Pages are passed on, so they contain file names without folders.
-    names = _names(fit, held_out)
-    fit = replace_strings(fit, names)
-    onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
-    held_out = replace_strings(held_out, names)
-    figures = draw_figures(
-        curves, tuple(fit["criterion"]["dropped"]), tuple(held_out["recordings"]) if held_out else ()
-    )
-    texts: dict[str, Any] = {function.__name__: function(fit) for function in TEXTS}
+    result, held_out = _without_folders(result.with_recordings(), held_out)
+    fit, hammer = result.fit, result.note.hammer
+    # Built-in felt laws are found by name, because some share a type of hammer.
+    law = LAWS.get(fit.felt) or law_of(hammer)
+    figures = draw_figures(result, held_out)
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
         title=title,
         contents=True,
         fit=fit,
-        **texts,
-        invariants=text.rows(fit["invariants"]),
-        rows=text.rows(fit["parameters"]),
-        equations=_equations(fit, curves),
-        clips=_clips(curves, onset),
-        ringing=_ringing(fit, curves),
-        strokes=_strokes(curves.strokes),
-        players=_players(curves, fit["recordings"]),
-        stulov=curves.felt is not None and curves.felt.slow is not None,
+        text=text,
+        identifiability_sections=identifiability_sections(fit),
+        felt_scale=felt_scale(fit),
+        is_scale_open=is_scale_open(fit),
+        is_power_law=text.is_power_law(fit),
+        has_slow_law=law_of(hammer).slow is not None,
+        equations=equations(fit, law.formula),
+        clips=_clips(result),
+        modal_response=fit.modal_response and modal_response_text(fit.modal_response),
+        decays=decay_rows(result),
+        strokes=_slider(strokes_of(result)),
+        players=_players(result),
         held_out=held_out,
-        path_groups=len(curves.paths),
-        figures=dict.fromkeys(OPTIONAL_FIGURES) | {name: picture(panels) for name, panels in figures.items()},
-        has_path=curves.path is not None,
-        data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
+        figures={name: picture(panels) for name, panels in figures.items()},
+        data=json_text(builtins_of(fit)).rstrip(),
     )
 
 
-def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
-    """Return path -> file name of every recording, the longest path first."""
-    files = {row["file"] for document in documents if document is not None for row in document["recordings"]}
-    return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
+def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dict[str, list[bytes]]:
+    """Draw all figures of the page: name -> SVGs of the panels, none where the fit lacks the data."""
+    fit = result.fit
+    with page_style():
+        figures = {
+            "spectra": draw_spectra(result),
+            "attack": draw_attacks(result),
+            "partials": draw_partials(result),
+            "levels": draw_reference_levels(result),
+            "force": draw_contact(result),
+            "recordings": draw_recordings(fit),
+            "paths": draw_paths(fit),
+            "held_out": draw_left_out(held_out.recordings if held_out else ()),
+            "felt": draw_felt(result),
+            "identifiability": draw_identifiability(result),
+            "envelopes": draw_envelopes(result) if fit.modal_response else [],
+            "spectrograms": draw_spectrograms(result) if fit.modal_response else [],
+        }
+        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
-def _equations(fit: dict[str, Any], curves: FigureData) -> dict[str, Any]:
-    """Return the box of equations. Built-in felt laws are found by name, because some share a type of hammer."""
-    law = LAWS.get(fit["felt"])
-    user_formula = () if curves.felt is None else curves.felt.formula
-    has_modes = bool(curves.ringing and curves.ringing.decays)
-    return equations(fit, user_formula if law is None else law.formula, path=curves.path is not None, modes=has_modes)
+def _without_folders(result: Result, held_out: CrossValidation | None) -> tuple[Result, CrossValidation | None]:
+    """Return both with file names without folders, because pages are passed on."""
+    fit = result.fit
+    files = {row.file for row in (*fit.recordings, *(held_out.recordings if held_out else ()))}
+    in_order = sorted(files, key=len, reverse=True)  # a path may begin with another
+
+    def short(words: str) -> str:
+        return reduce(lambda found, file: found.replace(file, PurePath(file).name or file), in_order, words)
+
+    def all_short(rows: Iterable[Any]) -> tuple[Any, ...]:
+        return tuple(replace(row, file=short(row.file)) for row in rows)
+
+    response = fit.modal_response
+    shortened = replace(
+        fit,
+        recordings=all_short(fit.recordings),
+        invariants=Quantities.of(replace(quantity, note=short(quantity.note)) for quantity in fit.invariants.values()),
+        warnings=tuple(map(short, fit.warnings)),
+        modal_response=response and replace(response, layers=all_short(response.layers)),
+    )
+    if held_out is not None:
+        held_out = replace(
+            held_out, recordings=all_short(held_out.recordings), warnings=tuple(map(short, held_out.warnings))
+        )
+    return replace(result, fit=shortened), held_out
 
 
-def _clips(curves: FigureData, onset: float) -> list[Clip]:
+# --- sounds -----------------------------------------------------------------------------------------------------------
+
+
+def _clips(result: Result) -> list[Clip]:
     """Return the sounds of the reference recording: recorded and two of the model."""
-    sounds = {name: _downmix_to_stereo(x) for name, x in curves.sounds.items()}
-    is_mono = all(x.ndim == 1 for x in sounds.values())
-    return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if is_mono else STEREO_SECONDS)
+    reference, recording = result.reference, result.recording
+    if reference.ringing is None:
+        fitted = {"initial": result.initial.samples, "fitted": reference.sound}
+    else:
+        fitted = {"fitted": reference.sound, "string model": result.fitted.samples}
+    recorded = recording.samples if reference.final.frames is None else recording.frames
+    # Few listeners can play more than two channels.
+    sounds = {
+        name: x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
+        for name, x in ({"original": recorded} | fitted).items()
+    }
+    seconds = SECONDS if all(x.ndim == 1 for x in sounds.values()) else STEREO_SECONDS
+    return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds)
 
 
-def _downmix_to_stereo(x: np.ndarray) -> np.ndarray:
-    """Return one or two channels unchanged, and the mean of more, which few listeners can play."""
-    return x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
+class Strokes(NamedTuple):
+    """The fitted note at several velocities, all with one gain."""
+
+    velocity: np.ndarray  # [strokes], m/s, rising
+    sounds: tuple[np.ndarray, ...]  # each [samples], full scale = 1
+    rate: int  # Hz
+    first: int  # initial position of the slider
+    is_recorded_range: bool  # all lie within the velocities of the recordings
 
 
-def _ringing(fit: dict[str, Any], curves: FigureData) -> dict[str, Any] | None:
-    """Return the text on the modal response of the key, and the table of decays and beats."""
-    if curves.ringing is None:
+def strokes_of(result: Result) -> Strokes | None:
+    """Return the note of the reference recording at several velocities; None if fewer than two can be rendered.
+
+    The range is from the softest to the loudest recording, or from half to twice the velocity of a single one. The
+    sounds are means of the channels and begin `pre_onset_s` before the contact.
+    """
+    velocities = [row.v_H0 for row in result.fit.recordings]
+    low, high = min(velocities), max(velocities)
+    is_recorded_range = high / low > SMALLEST_RANGE
+    if not is_recorded_range:
+        middle, bounds = np.sqrt(low * high), PARAMETERS["v_H0"]
+        low, high = max(middle / DEFAULT_RANGE, bounds.lower), min(middle * DEFAULT_RANGE, bounds.upper)
+    note, rate = result.note, result.recording.rate
+    sounds = {}
+    for velocity in np.geomspace(low, high, STROKES):
+        try:
+            onset = round(note.pre_onset_s * rate)
+            stroke = note.with_velocity(float(velocity))
+            sounds[float(velocity)] = stroke.render_stroke(rate, int(STROKE_SECONDS * rate), onset)[0]
+        except (FitError, ParameterError):  # a contact that does not end cannot be rendered
+            continue
+    if len(sounds) < 2:
         return None
-    rows = [
-        [str(d.number), f"{d.frequency:.2f}", str(d.modes),
-         *(number_format.number(x, 2) for x in (d.early, d.late, d.beat_frequency, d.beat_depth)),
-         " to ".join(dict.fromkeys(number_format.number(x, 2) for x in d.error))]
-        for d in curves.ringing.decays
-    ]  # fmt: skip
-    return {"text": text.modal_response_text(fit["ringing"]), "rows": rows}
+    rendered = np.array([*sounds])
+    first = int(np.abs(np.log(rendered / note.hammer.v_H0)).argmin())
+    return Strokes(rendered, tuple(sounds.values()), rate, first, is_recorded_range)
 
 
-def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
+def _slider(strokes: Strokes | None) -> dict[str, Any] | None:
     """Return the sounds of the velocity slider, which keep their differences in loudness."""
     if strokes is None:
         return None
-    sounds = {f"{number_format.number(v, 3)} m/s": x for v, x in zip(strokes.velocity, strokes.sounds, strict=True)}
+    sounds = {f"{number(v, 3)} m/s": x for v, x in zip(strokes.velocity.tolist(), strokes.sounds, strict=True)}
     clips = make_clips(sounds, strokes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
-    return {"clips": clips, "first": strokes.first, "inside": strokes.inside}
+    return {"clips": clips, "first": strokes.first, "is_recorded_range": strokes.is_recorded_range}
 
 
-def _players(curves: FigureData, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _players(result: Result) -> list[dict[str, Any]]:
     """Return recorded and fitted sound of every recording except the reference, which has its own player."""
-    others = [recording for i, recording in enumerate(curves.recordings) if i != curves.reference_index]
+    others = [i for i in range(len(result.recordings)) if i != result.reference_index]
     seconds = seconds_each(len(others), OTHER_SAMPLES, LONGEST_OTHER, SHORTEST_OTHER)
-    return [
-        {
-            "id": f"recording-{recording.place}",
-            "place": recording.place,
-            "file": recordings[recording.place - 1]["file"],
-            "velocity": recording.velocity,
-            "clips": _pair(recording, seconds),
-        }
-        for recording in others
-    ]
-
-
-def _pair(recording: RecordingCurves, seconds: float) -> list[Clip]:
-    sounds = {"original": recording.sound_original, "fitted": recording.sound_fitted}
-    return make_clips(sounds, recording.sound_rate, recording.onset, seconds=seconds, highest_rate=LIGHT_RATE)
+    players = []
+    for i in others:
+        recording, row = result.recordings[i].recording, result.fit.recordings[i]
+        sounds = {"original": recording.samples, "fitted": result.recordings[i].final.samples}
+        onset = recording.onset / recording.rate
+        clips = make_clips(sounds, recording.rate, onset, seconds=seconds, highest_rate=LIGHT_RATE)
+        players.append({"place": i + 1, "row": row, "clips": clips})
+    return players

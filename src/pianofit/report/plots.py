@@ -1,24 +1,31 @@
-"""Single figures of the page, for a notebook."""
+"""Single figures of the page, for a notebook. Several results can be drawn into the same axes.
+
+Each label then has its own hue, and its legend entries contain the label.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
 from ..result import Result
-from .build import contact_curves, envelopes_of, felt_of, identifiability_of, level_curves, reference_curves
-from .drawing import STYLE
+from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
-from .figures_identifiability import draw_correlations, draw_static_law
-from .figures_modal_response import draw_envelope
-from .overlay import draw_labelled
+from .identifiability import correlations, draw_correlations
+from .modal_response import draw_envelope, envelopes_of
+from .static_law import draw_static_law, static_law
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["Plots", "drawn_on"]
+
+# Colours of Okabe and Ito, which colour-blind readers can distinguish, in the order of the drawings.
+HUES = (FITTED, INITIAL, LAW, GROUP, "#56b4e9", "#e69f00")
+FAINT_ALPHA = 0.45  # of measured curves, to distinguish them from fitted curves of the same hue
+GROUP_ID = "pianofit:"  # prefix of the group id of labelled artists
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,12 @@ class Plots:
 
     def spectrum(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw measured, initial and fitted spectrum, dB over Hz, with the bands of the criterion."""
-        curves, dropped = reference_curves(self.result), tuple(self.result.document["criterion"]["dropped"])
-        return drawn_on(ax, lambda axes: draw_spectrum(axes, curves, dropped), label)
+        result = self.result.with_recordings()
+        return drawn_on(ax, lambda axes: draw_spectrum(axes, result), label)
 
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the force of the hammer on the string, N over ms from the first contact, before and after the fit."""
-        curves = contact_curves(self.result)
-        return drawn_on(ax, lambda axes: draw_force(axes, curves), label)
+        return drawn_on(ax, lambda axes: draw_force(axes, self.result), label)
 
     def felt(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the static force of the felt, N over mm of compression, with its 95 % band.
@@ -52,13 +58,12 @@ class Plots:
 
         Raises `FitError` if the fit was loaded from a file without a covariance.
         """
-        felt = felt_of(self.result)
-        return drawn_on(ax, lambda axes: draw_static_law(axes, felt), label)
+        law = static_law(self.result)
+        return drawn_on(ax, lambda axes: draw_static_law(axes, law), label)
 
     def levels(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the levels of the partials, dB over the partial number, measured with 95 % bars, initial and fitted."""
-        curves = level_curves(self.result)
-        return drawn_on(ax, lambda axes: draw_levels(axes, curves), label)
+        return drawn_on(ax, lambda axes: draw_levels(axes, self.result.fit.reference.partials), label)
 
     def envelopes(self, ax: Axes | None = None, *, number: int | None = None, label: str | None = None) -> Axes:
         """Draw the level of one partial, dB over s: measured, with the string model, and with the modes of the key.
@@ -80,11 +85,10 @@ class Plots:
 
         `label` goes into the title. Raises `FitError` if the fit has no intervals, like those of the paper's recipes.
         """
-        _ = self.result.covariance
-        data = identifiability_of(self.result)
-        if data is None:
+        correlation = correlations(self.result)
+        if correlation is None:
             raise FitError("this fit has no intervals and therefore no correlations; fit with recipe='default'")
-        axes = drawn_on(ax, lambda axes: draw_correlations(axes, data), None, (6.4, 5.6))
+        axes = drawn_on(ax, lambda axes: draw_correlations(axes, correlation), None, (6.4, 5.6))
         axes.set(xlabel="logarithm of the parameter", ylabel="logarithm of the parameter")
         if label is not None:
             axes.set_title(f"{axes.get_title(loc='left')}: {label}", loc="left")
@@ -94,12 +98,52 @@ class Plots:
 def drawn_on(
     ax: Axes | None, draw: Callable[[Axes], None], label: str | None = None, size: tuple[float, float] = (8.0, 4.4)
 ) -> Axes:
-    """Draw into `ax` or into new axes, with a legend."""
+    """Draw into `ax` or into new axes, with a legend. If `ax` contains a drawing, the limits then include both.
+
+    With a label, line style still distinguishes measured, initial and fitted, and the hue distinguishes the results.
+    """
     import matplotlib.pyplot as plt
 
     with plt.rc_context(STYLE):
         axes = plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
-        draw_labelled(axes, draw, label)
+        limits = (axes.get_xlim(), axes.get_ylim()) if axes.has_data() else None
+        title, before = axes.get_title(loc="left"), {*axes.get_children(), *axes.containers}
+        draw(axes)
+        if label is not None:
+            ids = {str(artist.get_gid()) for artist in axes.get_children()}
+            earlier = {one for one in ids if one.startswith(GROUP_ID)} - {GROUP_ID + label}
+            _apply_label(axes, before, label, HUES[len(earlier) % len(HUES)])
+        if limits is not None:
+            _widen_limits(axes, before, limits, title)
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
     return axes
+
+
+def _apply_label(axes: Axes, before: set[Any], label: str, hue: str) -> None:
+    """Give the artists that are not in `before` the hue and the label."""
+    from matplotlib.collections import Collection
+    from matplotlib.lines import Line2D
+
+    for artist in [*axes.lines, *axes.collections, *axes.containers]:
+        if artist in before:
+            continue
+        name = str(artist.get_label())
+        if name and not name.startswith("_"):
+            artist.set_label(f"{label}: {name}")
+        if isinstance(artist, Line2D | Collection):
+            artist.set_gid(GROUP_ID + label)
+            if isinstance(artist, Line2D) and artist.get_color() == MEASURED:
+                artist.set_alpha(FAINT_ALPHA)
+            artist.set_color(hue)
+
+
+def _widen_limits(axes: Axes, before: set[Any], limits: tuple[Any, Any], title: str) -> None:
+    """Widen the limits to those of both drawings, and remove texts and shades that would overlap the first."""
+    for artist in [*axes.texts, *axes.patches]:
+        if artist not in before:
+            artist.remove()
+    for get, set_to, old in zip((axes.get_xlim, axes.get_ylim), (axes.set_xlim, axes.set_ylim), limits, strict=True):
+        set_to(min(get()[0], old[0]), max(get()[1], old[1]))
+    if title:
+        axes.set_title(title, loc="left")

@@ -15,6 +15,7 @@ from ..result.draws import DRAWS_FILE, encode_draws
 from ..schema.decode import encode_json
 from ..schema.fit import DrawsFile, read_fit
 from ..schema.modal_response import KNOCK_FILE, encode_knock
+from .page import report_bytes
 
 if TYPE_CHECKING:
     from ..result.cross_validation import CrossValidation
@@ -86,16 +87,9 @@ def write_page(result: Result, path: Path, title: str | None, held_out: CrossVal
 
 
 def _page(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
-    from .build import curves_of
-    from .page import report_bytes
-
-    return report_bytes(result.fit, curves_of(result), title or _title(result), held_out)
-
-
-def _title(result: Result) -> str:
-    """Return the names of the recordings, and the note if one was given."""
+    """Return the page. Its title has the names of the recordings, and the note if one was given, unless it is given."""
     names = ", ".join(printable(Path(fitted.recording.path).name) for fitted in result.recordings)
-    return names + (f", {result.analysis.note}" if result.analysis.note else "")
+    return report_bytes(result, title or ", ".join(filter(None, (names, result.analysis.note))), held_out)
 
 
 def stroke_names(stems: Sequence[str]) -> list[str]:
@@ -120,9 +114,8 @@ def _sound_names(result: Result) -> list[str]:
 def _sounds(result: Result) -> dict[str, bytes]:
     """Return the sounds before and after the fit, by file name."""
     rate = result.recording.rate
-    files = {
-        "initial.wav": encode_wav(result.initial.samples, rate), "fitted.wav": encode_wav(result.reference.sound, rate)
-    }  # fmt: skip
+    sounds = {"initial.wav": result.initial.samples, "fitted.wav": result.reference.sound}
+    files = {name: encode_wav(samples, rate) for name, samples in sounds.items()}
     for name, fitted in zip(_sound_names(result)[2:], result.recordings, strict=False):
         files[name] = encode_wav(fitted.sound, fitted.recording.rate)
     return files | _knock(result)

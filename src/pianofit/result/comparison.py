@@ -1,4 +1,4 @@
-"""Comparison of a fit with its recordings: the paper's criterion, and the levels of the partials."""
+"""Comparison of a fit with its recordings: the paper's criterion, levels of the partials, and alignment in time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import correlate
 
 from ..analysis import Analysis
 from ..criterion import (
@@ -27,19 +28,36 @@ from ..inference.pipeline import InferenceResult
 from ..inference.prescreen import rescan_velocities
 from ..inference.quadratic_surrogate import QuadraticSurrogate
 from ..model.note import Note
+from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES
+from ..recording.onset import find_onset
 from ..recording.recording import Recording
 from ..schema.fit import BandValue, Criterion, LevelErrors
-from .alignment import align_attack, estimate_contact_onset
-from .minima_notes import latent_means
-from .result import FittedRecording, RenderedFit
+from .fitted_recording import FittedRecording, RenderedFit
+from .notes import latent_means
 
-__all__ = ["RecordingComparison", "compare_recordings", "audible_partials", "pool_level_errors", "worse_bands"]
+__all__ = [
+    "RecordingComparison",
+    "align_attack",
+    "audible_partials",
+    "compare_recordings",
+    "estimate_contact_onset",
+    "fractional_lag",
+    "locate_template",
+    "pool_level_errors",
+    "worse_bands",
+]
 
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
 # and within this range of the strongest partial, dB, since other sounds lie below it.
 LEVEL_RANGE = 60.0
+# s of the attack that is simulated to estimate the contact, and s of noise before it.
+ATTACK_SECONDS, LEAD_SECONDS = 0.15, 0.05
+# s of noise that a recording must have before its onset to be used; otherwise white noise is.
+NOISE_SECONDS = 0.02
+# s of the attack that is aligned with a calibrated recording.
+ALIGNED_SECONDS = 0.05
 # At most this many steps of the initial hammer's descent. It stops when F gains less than this, a tenth of a dB.
 DESCENT_STEPS, DESCENT_GAIN = 25, 0.1
 # Level of a hammer whose contact does not end, dB.
@@ -235,3 +253,59 @@ def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
         np.asarray(descent.table.value)
         - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).residual
     )
+
+
+# --- alignment of a simulated attack with a recorded one --------------------------------------------------------------
+
+
+def estimate_contact_onset(note: Note, strike: Simulation, recording: Recording) -> int:
+    """Sample index of the first contact, chosen so that the simulated stroke has the onset of the recording.
+
+    High partials of a stiff string arrive before the main wave. The noise decides how many of them the onset detector
+    finds. So the stroke is simulated in the noise before the onset, or in white noise of a fixed seed.
+    """
+    rate, onset = recording.rate, recording.onset
+    attack, before = recording.samples[onset:][: round(ATTACK_SECONDS * rate)], round(LEAD_SECONDS * rate)
+    sound = note.render_mono(strike, rate, len(attack))
+    sound = np.pad(sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300), (before, 0))
+    noise = recording.samples[: max(onset - round(0.001 * rate), 0)]
+    if len(noise) < NOISE_SECONDS * rate or noise.std() < 0.5 * recording.noise_rms:
+        noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, len(sound))
+    detected = find_onset(np.resize(np.append(noise, noise[::-1]), len(sound)) + sound, rate, 0.0)
+    return onset - max(detected - before, 0)
+
+
+def align_attack(note: Note, recording: Recording) -> float:
+    """Sample index of the first contact in a calibrated recording, by alignment of the simulated attack."""
+    count = round(ALIGNED_SECONDS * recording.rate)
+    model, _ = note.render_stroke(recording.rate, count)
+    begin = max(recording.onset - count, 0)
+    sound = recording.samples[begin : recording.onset + 2 * count]
+    if len(sound) <= count:
+        return recording.onset
+    start, sign = locate_template(model, sound)
+    return begin + start + fractional_lag(model, sign * sound[start : start + count])
+
+
+def fractional_lag(model: np.ndarray, sound: np.ndarray) -> float:
+    """Delay of `sound` relative to `model`, in samples, accurate to a hundredth; both [samples]."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(model))))
+    oversampling = 16
+    cross = np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj()
+    correlation = np.fft.irfft(cross, oversampling * size)
+    peak = int(np.argmax(correlation))
+    before, top, after = correlation[peak - 1], correlation[peak], correlation[(peak + 1) % len(correlation)]
+    lag = peak + 0.5 * (before - after) / (before - 2 * top + after)
+    return float((lag if lag < len(correlation) / 2 else lag - len(correlation)) / oversampling)
+
+
+def locate_template(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
+    """Position of `model` in the longer `sound` with the least residual energy, and its sign; both [samples], one unit.
+
+    Unlike the peak of a correlation, the residual counts the silence before an attack. A position one period late
+    leaves the first period unexplained. The sign is -1 for a pickup of opposite polarity.
+    """
+    energy = np.concatenate([[0.0], np.cumsum(sound**2)])
+    cross = correlate(sound, model, "valid", "fft")
+    start = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
+    return start, float(np.sign(cross[start]))

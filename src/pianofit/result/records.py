@@ -10,7 +10,7 @@ from ..felt import law_of
 from ..inference.initial_values import InitialValues
 from ..schema.fit import Derived, GlideWindow, PartialLevels, PathEntry, Pickup, Recontact, RecordingFit
 from ..schema.quantities import UNITS, Quantity, Status, meaning_of
-from .result import FittedRecording
+from .fitted_recording import FittedRecording
 
 __all__ = ["derived_of", "fixed_quantity", "pickup_of", "record_of", "sizes"]
 

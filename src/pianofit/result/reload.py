@@ -14,38 +14,44 @@ from ..errors import AnalysisError, FitError, ParameterError, RecordingError
 from ..io.files import printable
 from ..model.note import Note
 from ..recording.recording import Recording, Source, to_recording
-from ..schema.fit import RecordingFit
+from ..schema.fit import Fit, RecordingFit
 from ..schema.notes import initial_note
 from ..threads import one_blas_thread
 from .comparison import RecordingComparison
-from .result import FittedRecording, Result
+from .fitted_recording import FittedRecording
 
 __all__ = ["reload_recordings"]
 
 
 @one_blas_thread()
-def reload_recordings(result: Result, sources: Sequence[Source] = ()) -> Result:
-    """A reloaded fit with its recordings, read from their stored paths or from `sources`, in their order.
+def reload_recordings(fit: Fit, notes: Sequence[Note], sources: Sequence[Source] = ()) -> tuple[FittedRecording, ...]:
+    """The recordings of a fit, read from their stored paths or from `sources`, in their order.
+
+    Parameters
+    ----------
+    notes : notes of the best minimum, one for each recording.
 
     Raises
     ------
     FitError
         If a file is missing or is not the one that was fitted; the message names it.
     """
-    records = result.fit.recordings
+    records = fit.recordings
     if sources and len(sources) != len(records):
-        raise FitError(f"{len(sources)} recordings were given, but the fit has {len(records)}; give all, in order")
+        raise FitError(
+            f"{len(sources)} recordings were given, but the fit has {len(records)}; give all, in their order"
+        )
     recordings = [
         _read(record, source)
         for record, source in zip(records, sources or [record.file for record in records], strict=True)
     ]
     own = [
         _analyse_fitted_note(recording, record, note)
-        for recording, record, note in zip(recordings, records, result.minima_notes[0], strict=True)
+        for recording, record, note in zip(recordings, records, notes, strict=True)
     ]
-    analyses = [analysis.with_decay_law(own[result.reference_index]) for analysis in own]
+    analyses = [analysis.with_decay_law(own[fit.reference_index]) for analysis in own]
     pairs = enumerate(zip(recordings, analyses, strict=True))
-    return replace(result, recordings=tuple(_compare(result, index, *pair) for index, pair in pairs))
+    return tuple(_compare(fit, notes, index, *pair) for index, pair in pairs)
 
 
 def _read(record: RecordingFit, source: Source) -> Recording:
@@ -77,30 +83,29 @@ def _analyse_fitted_note(recording: Recording, record: RecordingFit, note: Note)
         raise FitError(str(error)) from None
 
 
-def _compare(result: Result, index: int, recording: Recording, analysis: Analysis) -> FittedRecording:
+def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, analysis: Analysis) -> FittedRecording:
     """Compare one recording with the model, as during the fit."""
-    record, note = result.fit.recordings[index], result.minima_notes[0][index]
+    record, note = fit.recordings[index], notes[index]
     stored = record.partials
     gain = float(note.gain) if record.gain_status == "given" else None
     comparison = RecordingComparison.of(recording, analysis, None if gain is None else 1.0 / gain)
     measured = comparison.levels_at_partials(stored.measured, stored.number)
     plain = note._replace(gain=1.0, ringing=None)
     begins = None if gain is None else comparison.contact_onset(plain)
-    initial = comparison.render(initial_note(result.fit, record, note), gain, begins, measured)
+    initial = comparison.render(initial_note(fit, record, note), gain, begins, measured)
     fitted = comparison.render(plain, float(note.gain), begins, measured)
     initial, fitted = (
         replace(sound, level=comparison.levels_at_partials(level, stored.number))
         for sound, level in ((initial, stored.initial), (fitted, stored.fitted))
     )
     compared = FittedRecording(initial, fitted, measured, recording, analysis, record.criterion, record.levels)
-    return compared if note.ringing is None else compared.ringing_by(note.ringing, _contact_delay(result, index))
+    return compared if note.ringing is None else compared.ringing_by(note.ringing, _contact_delay(fit, notes, index))
 
 
-def _contact_delay(result: Result, index: int) -> float:
+def _contact_delay(fit: Fit, notes: Sequence[Note], index: int) -> float:
     """Time from the onset to the first contact, s. The layers of a modal response are a path group by velocity."""
-    fit = result.fit
     group = fit.path_groups[fit.recordings[index].path_group]
-    group.sort(key=lambda i: float(result.minima_notes[0][i].hammer.v_H0))
+    group.sort(key=lambda i: float(notes[i].hammer.v_H0))
     layers = () if fit.modal_response is None else fit.modal_response.layers
     if len(layers) != len(group):
         raise FitError("modal_response.layers must have an entry for each recording of the path group; fit again")

@@ -10,86 +10,29 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..analysis import Analysis, Partials
+from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import FeltLaw
 from ..io.files import printable
 from ..io.number_format import counted
-from ..model import Simulation
-from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..recording.recording import Recording, Source
 from ..schema.decode import builtins_of
-from ..schema.fit import Criterion, Fit, LevelErrors, fit_path, read_fit
+from ..schema.fit import Fit, fit_path, read_fit
 from ..schema.notes import notes_of_minima, notes_of_recordings
 from ..schema.quantities import Covariance, Quantities
 from .draws import DRAWS_FILE, Draws, read_draws
+from .fitted_recording import FittedRecording, RenderedFit
+from .prediction import Prediction, predict_recording
+from .reload import reload_recordings
 
 if TYPE_CHECKING:
     from .cross_validation import CrossValidation
-    from .prediction import Prediction
 
-__all__ = ["FittedRecording", "Result", "RenderedFit"]
+__all__ = ["Result"]
 
 # Characters of the identifiability statement in a `repr`.
 STATEMENT_LENGTH = 300
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RenderedFit:
-    """The sound of one set of parameters."""
-
-    note: Note
-    samples: np.ndarray  # file units, as long as the recording
-    simulation: Simulation
-    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
-    frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
-
-    def __repr__(self) -> str:
-        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FittedRecording:
-    """One recording and the model's sounds for it."""
-
-    initial: RenderedFit
-    fitted: RenderedFit
-    level: np.ndarray  # measured, dB in the pickup unit [partials]
-    recording: Recording
-    analysis: Analysis
-    criterion: Criterion
-    levels: LevelErrors
-    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
-
-    def __repr__(self) -> str:
-        return f"FittedRecording: {self.recording!r}, level error {self.levels.fitted_db:.2f} dB after the fit"
-
-    @property
-    def final(self) -> RenderedFit:
-        """The fitted sound: with the modal response if the fit has one, else with the string model only."""
-        return self.ringing or self.fitted
-
-    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
-        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
-        fitted, recording = self.fitted, self.recording
-        note = fitted.note._replace(ringing=ringing)
-        contact = recording.onset + round(contact_delay * recording.rate)
-        frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
-        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
-
-    @property
-    def sound(self) -> np.ndarray:
-        """Samples of `as_played` for a file [samples] or [channels, samples]."""
-        frames = self.final.frames
-        return self.final.samples if frames is None or len(frames) == 1 else frames
-
-    @property
-    def partials(self) -> Partials:
-        """The table of partials."""
-        return self.analysis.partials
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,16 +147,12 @@ class Result:
         2.0
         """
         if recordings:
-            from .reload import reload_recordings
-
-            return reload_recordings(self, recordings)
+            return replace(self, recordings=reload_recordings(self.fit, self.minima_notes[0], recordings))
         return self if self.recordings else self._reloaded
 
     @cached_property
     def _reloaded(self) -> Result:
-        from .reload import reload_recordings
-
-        return reload_recordings(self)
+        return replace(self, recordings=reload_recordings(self.fit, self.minima_notes[0]))
 
     @property
     def initial(self) -> RenderedFit:
@@ -267,8 +206,6 @@ class Result:
         >>> prediction.error_db < 1.0
         True
         """
-        from .prediction import predict_recording
-
         return predict_recording(self.mixture, recording, gains=self.gains if gains is None else gains)
 
     # --- display ------------------------------------------------------------------------------------------------------
@@ -291,6 +228,12 @@ class Result:
             f"<p><strong>{escape(self.identifiability_statement)}</strong></p>{self.invariants._repr_html_()}"
             f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
         )
+
+    def summary(self) -> str:
+        """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""
+        from ..report.summary import fit_summary
+
+        return fit_summary(self)
 
     @property
     def plot(self) -> Any:

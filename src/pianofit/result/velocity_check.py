@@ -17,6 +17,7 @@ from ..analysis import Analysis
 from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
 from ..io.files import printable
+from .statuses import PIANIST_VELOCITY_RATIO
 
 __all__ = ["brightening", "contradictory_velocities"]
 
@@ -32,8 +33,6 @@ FEWEST_COMMON = 5  # common partials for a slope with a standard error
 STROKE_SCATTER_DB = 1.0
 # Standard deviations by which the felt exponent may deviate from its prior: 1.4 to 3.8 in the middle of the keyboard.
 EXPONENT_Z = 2.5
-# Ratio of a pianist's fastest to slowest hammer velocity: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
-PIANIST_VELOCITY_RATIO = 20.0
 
 
 def brightening(slower: Analysis, faster: Analysis) -> tuple[float, float, float]:

@@ -1,4 +1,10 @@
-"""One `Note` for every minimum and recording: string, hammer, and the output path that F integrates out."""
+"""Notes of all minima: string, hammer, and the output path that F integrates out, with its velocity discrepancy.
+
+Strokes of similar velocity deviate from the hammer model in similar ways. The deviation of a partial is a random walk
+over log velocity, plus independent scatter of each stroke. Step size and scatter are common to all partials of a key
+and are integrated over. Differences that the strokes do not resolve shrink to zero. The posterior mean is linear
+between strokes and constant beyond them.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +19,14 @@ from ..inference.problem import FitProblem
 from ..inference.refine import Minima
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from .velocity_discrepancy import UNINFORMATIVE_ERROR, stroke_deviations
 
-__all__ = ["latent_means", "notes_of"]
+__all__ = ["UNINFORMATIVE_ERROR", "latent_means", "notes_of", "smooth_random_walk", "stroke_deviations"]
+
+# Grid of standard deviations, relative (0.1 to 9 dB), for the walk over an e-fold of velocity and for the scatter of a
+# stroke. The prior is uniform in the logarithm.
+GRID = np.geomspace(0.01, 1.0, 9)
+# Standard error of an observation without information.
+UNINFORMATIVE_ERROR = 1e3
 
 
 def latent_means(minima: Minima, which: int) -> LatentPosterior:
@@ -85,3 +96,56 @@ def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray)
     excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
     shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
     return scatter_by_number(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)
+
+
+# --- velocity discrepancy ---------------------------------------------------------------------------------------------
+
+
+def smooth_random_walk(observed: np.ndarray, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Posterior mean of random walks over log velocity, with unknown start [strokes, walks].
+
+    Parameters
+    ----------
+    observed, error : values and their standard errors [strokes, walks]. A common scatter is added to the errors.
+    velocity : velocities of the strokes, m/s, increasing.
+    """
+    log_velocity, y = np.log(velocity / velocity[0]), observed.T
+    step, scatter = (x.ravel()[:, None, None, None] for x in np.meshgrid(GRID, GRID))
+    walk = step**2 * np.minimum.outer(log_velocity, log_velocity)  # [grid, 1, strokes, strokes]
+    noise = scatter[..., 0] ** 2 + error.T**2  # [grid, walks, strokes]
+    covariance = walk + noise[..., None] * np.eye(len(log_velocity))
+    right = np.stack([np.ones_like(y), y], axis=-1)
+    solved = np.linalg.solve(covariance, np.broadcast_to(right, (len(covariance), *right.shape)))
+    # The unknown start is integrated out (restricted maximum likelihood, Patterson and Thompson 1971).
+    weight = solved[..., 0].sum(axis=-1)
+    start = solved[..., 1].sum(axis=-1) / weight
+    rest = solved[..., 1] - start[..., None] * solved[..., 0]
+    misfit = (rest * (y - start[..., None])).sum(axis=-1)
+    evidence = -0.5 * (np.linalg.slogdet(covariance)[1] + np.log(weight) + misfit).sum(axis=1)
+    grid_weight = np.exp(evidence - evidence.max())
+    mean = start[..., None] + (walk @ rest[..., None])[..., 0]
+    return np.einsum("t,tws->sw", grid_weight / grid_weight.sum(), mean)
+
+
+def stroke_deviations(
+    observed: np.ndarray, error: np.ndarray, weight: np.ndarray, velocity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviations of each stroke from the mean over the strokes.
+
+    The mean over the strokes is subtracted because it belongs to the output path, which has its own prior.
+
+    Parameters
+    ----------
+    observed, error : as for `smooth_random_walk`, with recordings in any order [recordings, walks].
+    weight : weights of the mean that is subtracted [recordings, walks]. Each walk needs a weight above 0.
+    velocity : velocity of each recording's stroke, m/s. Recordings of one stroke have the same velocity.
+
+    Returns
+    -------
+    Distinct velocities, increasing [strokes], and deviations [strokes, walks].
+    """
+    order = np.argsort(velocity, kind="stable")
+    velocities, first = np.unique(velocity[order], return_index=True)
+    walk = smooth_random_walk(observed[order], error[order], velocity[order])
+    walk -= (weight[order] * walk).sum(axis=0) / weight.sum(axis=0)
+    return velocities, walk[first]

@@ -1,0 +1,203 @@
+"""Which quantities the data determine: sentences, uncertainties of all estimates, and their correlations.
+
+Each combination of parameters goes to one of three lists of sentences, by the width of its interval and by its status.
+Text is plain; the page escapes it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..io.number_format import (
+    format_relative_uncertainty,
+    log_half_width,
+    number,
+    with_half_interval,
+    with_interval,
+)
+from ..result import Result
+from ..schema.fit import Fit
+from ..schema.quantities import MEANINGS, Covariance
+from .drawing import FITTED, INITIAL, INK, MEASURED, PAPER, make_figure
+from .static_law import shared_covariance
+from .text import SYMBOLS, VELOCITY_RATIO
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "correlations",
+    "draw_correlations",
+    "draw_identifiability",
+    "felt_scale",
+    "half_widths",
+    "identifiability_sections",
+    "is_scale_open",
+]
+
+DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
+CONDITIONAL = "Determined only if the model and its output path are correct"
+UNDETERMINED = "Not determined by the data"
+# Half of a 95 % interval, as a logarithm: up to a factor of 2, a quantity that is reported as not identifiable would
+# be determined if the model were correct.
+LARGEST_CONDITIONAL = math.log(2.0)
+# Parameters that are shown as part of an invariant.
+IN_INVARIANTS = ("c", "kappa", "M_H", "x0")
+# Limits of the length of a line, half of an interval as a logarithm. The larger one is a factor of 22,000.
+WIDEST, NARROWEST = 10.0, 1e-12
+
+
+# --- sentences --------------------------------------------------------------------------------------------------------
+
+
+def identifiability_sections(fit: Fit) -> list[tuple[str, list[str]]]:
+    """Return (heading, sentences): combinations that are determined, conditional on the model, and undetermined."""
+    writers = {"f0": _pitch, "B": _invariant, "x0/L": _invariant, "F/M_S": _felt_force, "M_H/M_S": _invariant}
+    sections: dict[str, list[str]] = {DETERMINED: [], CONDITIONAL: [], UNDETERMINED: []}
+    for name, write in writers.items():
+        quantity = fit.invariants.get(name)
+        half = None if quantity is None else log_half_width(quantity.interval)
+        if quantity is None or half is None:  # given, or not part of this fit
+            continue
+        heading = DETERMINED
+        if name in ("F/M_S", "M_H/M_S") and quantity.status == "not-identifiable":
+            heading = CONDITIONAL if half <= LARGEST_CONDITIONAL else UNDETERMINED
+        sections[heading].append(write(fit, name, half))
+    sections[DETERMINED] += _velocities(fit)
+    return [(heading, sentences) for heading, sentences in sections.items() if sentences]
+
+
+def _pitch(fit: Fit, name: str, half: float) -> str:
+    value, _ = with_interval(fit.invariants[name].value, fit.invariants[name].interval)
+    return f"Pitch: f₀ = {value} Hz (± {number(1200 * half / math.log(2), 2)} cents)."
+
+
+def _invariant(fit: Fit, name: str, half: float) -> str:
+    meaning = MEANINGS[name]
+    return f"{meaning[0].upper()}{meaning[1:]}: {name} = {with_half_interval(fit.invariants[name].value, half)}."
+
+
+def _felt_force(fit: Fit, name: str, half: float) -> str:
+    """Return the force of the felt at the compression of the strokes, which determine it rather than K_H and p."""
+    quantity = fit.invariants[name]
+    note = f"{quantity.note[0].upper()}{quantity.note[1:]}"
+    text = f"{note}, divided by the mass of the string: {name} = {with_half_interval(quantity.value, half, 'N/kg')}."
+    stiffness = fit.parameters.get("K_H")
+    half_of_stiffness = None if stiffness is None else log_half_width(stiffness.interval)
+    if half_of_stiffness is not None and half_of_stiffness > 1.2 * half:
+        uncertainty = format_relative_uncertainty(half_of_stiffness)
+        text += f" K_H alone is known {uncertainty}. Its unit depends on p."
+    return f"{text} {felt_scale(fit)}".rstrip()
+
+
+def is_scale_open(fit: Fit) -> bool:
+    """Return whether the common scale of the velocities is unknown: neither a velocity nor the gain was given."""
+    status = fit.parameters["v_H0"].status
+    given = any("given" in (recording.gain_status, recording.v_H0_status) for recording in fit.recordings)
+    return status in ("scaled", "assumed") or (status == "not-identifiable" and not given)
+
+
+def felt_scale(fit: Fit) -> str:
+    """Return the assumptions on which force and compression of the felt depend; empty if there are none."""
+    is_mass_assumed = fit.parameters["M_S"].status == "assumed"
+    if not is_scale_open(fit):
+        return "Forces scale with the assumed mass of the string." if is_mass_assumed else ""
+    text = "Forces and compressions scale with the velocities, whose common scale was not measured."
+    return text + (" Forces also scale with the assumed mass of the string." if is_mass_assumed else "")
+
+
+def _velocities(fit: Fit) -> list[str]:
+    """Return how well the hammer velocities are determined; only their ratios if none was measured."""
+    if is_scale_open(fit):
+        noun = "Ratios of the hammer velocities"
+        ratios = (q for name, q in fit.invariants.items() if name.startswith(VELOCITY_RATIO))
+        intervals = [(q.status, q.interval) for q in ratios]
+    else:
+        noun = "Hammer velocities"
+        intervals = [(row.v_H0_status, row.v_H0_interval) for row in fit.recordings if len(fit.recordings) > 1]
+    halves = [log_half_width(interval) for status, interval in intervals if status != "not-identifiable"]
+    widths = [half for half in halves if half is not None]
+    return [f"{noun} (the least certain {format_relative_uncertainty(max(widths))})."] if widths else []
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def correlations(result: Result) -> Covariance | None:
+    """Return the correlations of the estimates that all strokes share; None if the fit has no intervals."""
+    correlation = Covariance(*shared_covariance(result)).correlation
+    return correlation if result.fit.has_intervals and correlation.names else None
+
+
+def half_widths(fit: Fit) -> list[tuple[str, float, bool]]:
+    """Return name, half of the 95 % interval of the logarithm, and whether it is an invariant, of each quantity."""
+    rows = [(name, q.interval, True) for name, q in fit.invariants.items()]
+    rows += [(name, q.interval, False) for name, q in fit.parameters.items() if name not in IN_INVARIANTS]
+    halves = [(name, log_half_width(interval), is_invariant) for name, interval, is_invariant in rows]
+    return [(name, half, is_invariant) for name, half, is_invariant in halves if half is not None]
+
+
+def draw_identifiability(result: Result) -> list[Figure]:
+    """Draw half intervals on a logarithmic scale, and the table of correlations in colours; [] without intervals."""
+    correlation, halves = correlations(result), half_widths(result.fit)
+    if correlation is None:
+        return []
+    height = 0.32 * max(len(halves), len(correlation.names), 5)
+    panels = {_draw_half_widths: halves, draw_correlations: correlation}
+    return [make_figure(draw, data, height=height, left=0.9, legend_rows=0) for draw, data in panels.items()]
+
+
+def _draw_half_widths(axes: Axes, entries: list[tuple[str, float, bool]]) -> None:
+    """Draw one row a quantity: circles for invariants, squares for parameters."""
+    halves = np.clip([half for _, half, _ in entries], NARROWEST, WIDEST)
+    left = 0.4 * min(halves)
+    for row, (value, (_, half, is_invariant)) in enumerate(zip(halves, entries, strict=True)):
+        colour, marker = (MEASURED, "o") if is_invariant else (FITTED, "s")
+        axes.plot([left, value], [row, row], color=colour, lw=1.6, marker=marker, ms=6.5, markevery=[1])
+        text = "unknown" if half >= WIDEST else format_relative_uncertainty(half, "× or ÷ {}")
+        axes.text(1.35 * value, row, text, va="center", fontsize=9, color=INK)
+    axes.set(xscale="log", xlim=(left, 14 * max(halves)), ylim=(len(entries) - 0.4, -0.6))
+    axes.set_yticks(range(len(entries)), [_symbol(name) for name, *_ in entries])
+    axes.set_xticks([], minor=True)
+    axes.tick_params(labelbottom=False)
+    _hide_frame(axes)
+    axes.set_title("Uncertainty (95 %, logarithmic scale)")
+
+
+def draw_correlations(axes: Axes, correlation: Covariance) -> None:
+    """Draw the table of correlations in per cent: a hue for each sign, darker for stronger correlation."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    names, n = [_symbol(name) for name in correlation.names], max(len(correlation.names), 2)
+    shades = LinearSegmentedColormap.from_list("correlation", [INITIAL, "#ffffff", FITTED], 64)
+    below = np.where(np.tri(len(names), k=-1, dtype=bool), correlation.matrix, np.nan)
+    edges = np.arange(len(names) + 1) - 0.5
+    axes.pcolormesh(edges, edges, below, cmap=shades, vmin=-1, vmax=1)
+    for i, j in np.argwhere(np.abs(below) >= 0.1):
+        r = below[i, j]
+        text, colour = f"{100 * r:+.0f}".replace("-", "−"), PAPER if abs(r) > 0.6 else INK
+        axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
+    axes.set(xlim=(-0.5, n - 1.5), ylim=(n - 0.5, 0.5))  # the first row and the last column are empty
+    axes.set_xticks(range(len(names) - 1), names[:-1])
+    axes.set_yticks(range(1, len(names)), names[1:])
+    _hide_frame(axes)
+    axes.set_title("Correlations of the estimates, %")
+
+
+def _hide_frame(axes: Axes) -> None:
+    """Hide everything except the labels."""
+    axes.tick_params(left=False, bottom=False)
+    axes.grid(visible=False)
+    axes.spines[["bottom", "left"]].set_visible(False)
+
+
+def _symbol(name: str) -> str:
+    """Return a symbol as mathtext, followed by the number of a stroke if it has one."""
+    symbol, _, stroke = SYMBOLS.get(name, name).partition(" ")
+    mathtext = re.sub(r"_(\w+)", r"_{\1}", symbol)
+    return (f"${mathtext}$" if "_" in symbol else symbol) + (f", {stroke}" if stroke else "")

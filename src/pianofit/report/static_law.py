@@ -1,0 +1,251 @@
+"""Static law of the felt, with its 95 % band: force over compression, for one fit or for two in comparison.
+
+The covariance of a fit is that of logarithms. The static force K_H u^p of the felt at compression u has the logarithm
+log F = log K_H + p log u, whose derivative by log p is p log u. Its 95 % band follows from the covariance by these
+derivatives. The band of other felt laws follows from their own derivatives in the same way, to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..conversions import HALF_WIDTH_95
+from ..felt import law_of
+from ..model import static_force
+from ..result import FittedRecording, Result
+from .drawing import (
+    FITTED,
+    HEIGHT,
+    INITIAL,
+    INK,
+    LINES,
+    LOOP,
+    MEASURED,
+    file_of,
+    legend,
+    log_axis,
+    make_figure,
+    page_style,
+    panel,
+    span,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "StaticLaw",
+    "compared_laws",
+    "draw_compared_laws",
+    "draw_felt",
+    "draw_static_law",
+    "largest_compression",
+    "shared_covariance",
+    "static_law",
+]
+
+# Points of the law, and of the loop of a stroke: more than a picture resolves.
+LAW_POINTS, LOOP_POINTS = 48, 400
+LARGEST_EXPONENT = 300.0  # so that exp does not overflow
+LARGEST_BAND = 1e6  # factor up to which the band of a law is drawn
+# A conditional variance below this share of the marginal variance is rounding error.
+ROUNDING = 1e-10
+LARGEST_RATIO = 10.0  # limit of the axis of the ratio; the panel of the forces shows larger differences
+LONGEST_LABEL = 28  # characters, so that both labels fit below a figure
+
+
+@dataclass(frozen=True)
+class StaticLaw:
+    """Static force of a felt over compression. In `force` and `slow`, the rows are the law and the ends of its band.
+
+    Without a band, its ends equal the law. A relaxing felt has two laws: `force` for sudden compression, and `slow`.
+    """
+
+    compression_mm: np.ndarray  # [n]
+    force: np.ndarray  # [3, n], N
+    slow: np.ndarray | None = None  # [3, n], N
+
+    def divided_by(self, mass: float) -> StaticLaw:
+        """Return the law per mass, N/kg."""
+        return StaticLaw(self.compression_mm, self.force / mass, None if self.slow is None else self.slow / mass)
+
+    @property
+    def middle(self) -> int:
+        """Index of half of the largest compression, at which two laws are compared."""
+        return len(self.compression_mm) // 2 - 1
+
+
+# --- the law and its band ---------------------------------------------------------------------------------------------
+
+
+def static_law(result: Result, reach: float | None = None) -> StaticLaw:
+    """Return the static law with its band, up to the compression `reach`, m; that of the strokes if None."""
+    hammer = result.note.hammer
+    u = (largest_compression(result) if reach is None else reach) * np.linspace(0.0, 1.0, LAW_POINTS + 1)[1:]
+    names, cov = shared_covariance(result)
+    cov = cov if result.fit.has_intervals else 0 * cov
+
+    def with_band(slow: bool) -> np.ndarray:
+        force, by_name = static_force(u, hammer, slow)
+        derivative = np.stack([by_name.get(name, np.zeros(len(u))) for name in names], axis=1)
+        sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", derivative, cov, derivative), 0.0))
+        half = np.minimum(HALF_WIDTH_95 * sd, LARGEST_EXPONENT)
+        return force * np.exp(np.stack([0 * half, -half, half]))
+
+    return StaticLaw(1e3 * u, with_band(False), with_band(True) if law_of(hammer).slow else None)
+
+
+def largest_compression(result: Result) -> float:
+    """Return the largest compression of the felt in all strokes of the fit, m.
+
+    If the fit was loaded from a file, its fastest stroke is simulated again.
+    """
+    if result.recordings:
+        return max(float(np.max(fitted.fitted.simulation.pulse.compression)) for fitted in result.recordings)
+    fastest = max(result.minima_notes[0], key=lambda note: float(note.hammer.v_H0))
+    return float(np.max(fastest.strike(round(result.fit.reference.rate)).pulse.compression))
+
+
+def shared_covariance(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return names and covariance of the parameters that all strokes share.
+
+    Without a measured velocity it is conditional on the velocity of the reference recording. Otherwise the common
+    scale of the velocities, which only the prior determines, would dominate the uncertainty of the felt.
+    """
+    cov = full = result.covariance.matrix
+    names = tuple(name for name in result.covariance.names if not name.startswith("v_H0"))
+    velocity = result.parameters.get("v_H0")
+    if velocity is not None and velocity.status == "scaled":
+        fixed = len(names) + result.fit.reference.stroke
+        if cov[fixed, fixed] > 0:
+            cov = cov - np.outer(cov[fixed], cov[fixed]) / cov[fixed, fixed]
+            # Parameters that vary only with the scale are fixed now, apart from rounding errors.
+            cov = np.where(np.diag(cov) > ROUNDING * np.diag(full), cov, 0.0)
+    return names, cov[: len(names), : len(names)]
+
+
+# --- figures of one fit -----------------------------------------------------------------------------------------------
+
+
+def draw_felt(result: Result) -> list[Figure]:
+    """Draw the static law with its band, and the loops of force over compression of all strokes."""
+    law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
+    rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
+    return [make_figure(draw, law, loops, title=title, legend_rows=rows, columns=3) for title, draw in panels.items()]
+
+
+def draw_static_law(axes: Axes, law: StaticLaw) -> None:
+    """Draw the static law with its band over the compressions of the strokes."""
+    _draw_law(axes, law)
+    top = span(*(curve for curve in (law.force[0], law.slow) if curve is not None))[1]
+    axes.set(xlim=(0.0, 1.03 * law.compression_mm[-1]), ylim=(0.0, 1.3 * max(top, 1e-9)))
+
+
+def _loop(fitted: FittedRecording) -> tuple[np.ndarray, np.ndarray]:
+    """Return compression, mm, and force, N, of a stroke during contact; NaN in between."""
+    pulse = fitted.fitted.simulation.pulse
+    compression, force = np.asarray(pulse.compression), np.asarray(pulse.force)
+    end = int(np.flatnonzero(compression > 0)[-1]) + 2 if (compression > 0).any() else 0
+    shown = slice(0, end, max(1, end // LOOP_POINTS))
+    contact = np.where(compression > 0, 1.0, np.nan)[shown]
+    return 1e3 * compression[shown] * contact, force[shown] * contact
+
+
+def _draw_law(axes: Axes, law: StaticLaw) -> None:
+    name = "static law" if law.slow is None else "sudden compression"
+    _draw_band(axes, law.compression_mm, law.force, LINES["fitted"], name)
+    if law.slow is not None:
+        _draw_band(axes, law.compression_mm, law.slow, LINES["initial"], "slow compression")
+    axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
+
+
+def _draw_band(axes: Axes, u: np.ndarray, force: np.ndarray, style: dict[str, Any], name: str) -> None:
+    low, high = np.clip(force[1:], force[0] / LARGEST_BAND, force[0] * LARGEST_BAND)
+    if (high > low).any():
+        axes.fill_between(u, low, high, color=style["color"], alpha=0.18, lw=0, zorder=1, label=f"{name}, 95 %")
+    axes.plot(u, force[0], label=name, **style)
+
+
+def _linear(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+    for i, (compression, force) in enumerate(loops):
+        axes.plot(compression, force, color=LOOP, lw=1.1, zorder=3, label="" if i else "during the stroke")
+    _draw_law(axes, law)
+    top = max(0.0, span(law.force[0], *(force for _, force in loops))[1])
+    axes.set(xlim=(0.0, 1.03 * law.compression_mm[-1]), ylim=(0.0, 1.25 * max(top, 1e-9)))
+
+
+def _logarithmic(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Draw one and a half decades of compression, with a mark at the largest compression of each recording."""
+    _draw_law(axes, law)
+    u, force = law.compression_mm[-1], law.force[0, -1]
+    if not (u > 0 and force > 0 and np.isfinite(force)):
+        return
+    curves = law.force[:, law.compression_mm >= u / 32]
+    axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
+    axes.set_ylim(max(curves[0].min() / 30, curves[1].min() / 2, force * 1e-9), min(30 * force, 2 * curves[2].max()))
+    transform, largest = axes.get_xaxis_transform(), [span(compression)[1] for compression, _ in loops]
+    axes.plot(largest, [0.03] * len(largest), "|", color=MEASURED, ms=13, mew=2, transform=transform, zorder=5)
+    log_axis(axes.xaxis, (1, 3))
+    log_axis(axes.yaxis, (1,))
+
+
+# --- two fits ---------------------------------------------------------------------------------------------------------
+
+
+def compared_laws(laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str], unit: str, kind: str) -> bytes:
+    """Return the content of a file, svg, png or pdf, of both forces, and below them their ratio."""
+    with page_style():
+        rows = 2 * (1 + any(law.slow is not None for law in laws))
+        figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
+        draw_compared_laws(force, laws, labels, unit)
+        force.set(title="Static force of the felts", xlabel="")
+        _draw_ratio(ratio, laws, labels)
+        legend(figure, force, 2)
+        return file_of(figure, kind)
+
+
+def draw_compared_laws(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str], unit: str) -> None:
+    """Draw both static laws with 95 % bands, and an error bar at the compared compression."""
+    u = laws[0].compression_mm
+    for law, label, hue in zip(laws, _escape_labels(labels), (FITTED, INITIAL), strict=True):
+        _draw_band(axes, u, law.force, {"color": hue, "lw": 1.6, "zorder": 4}, label)
+        if law.slow is not None:
+            style = {"color": hue, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3}
+            _draw_band(axes, u, law.slow, style, f"{label}, slow")
+        force, low, high = law.force[:, law.middle]
+        bars = [[force - low], [high - force]]
+        axes.errorbar(u[law.middle], force, yerr=bars, fmt="o", ms=4, color=hue, lw=1.4, capsize=3, zorder=6)
+    _, top = span(*(curve[0] for law in laws for curve in (law.force, law.slow) if curve is not None))
+    highest = min(float(np.nanmax([law.force[2].max() for law in laws])), 2 * top)
+    axes.set(xlabel="compression of the felt (mm)", xlim=(0.0, 1.02 * u[-1]), ylim=(0.0, 1.05 * max(highest, 1e-9)))
+    axes.set_ylabel("static force (N)" if unit == "N" else "static force over string mass (N/kg)")
+
+
+def _escape_labels(labels: tuple[str, str]) -> list[str]:
+    """Return shortened labels that a legend shows literally. A "$" would begin a formula, and a "_" hide an entry."""
+    short = (label if len(label) <= LONGEST_LABEL else label[: LONGEST_LABEL - 1] + "…" for label in labels)
+    return [f"{' ' * label.startswith('_')}{label}".replace("$", r"\$") for label in short]
+
+
+def _draw_ratio(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str]) -> None:
+    """Draw the second force over the first, with the 95 % band of two independent fits."""
+    first, second = (np.log(np.maximum(law.force, np.finfo(float).tiny)) for law in laws)
+    ratio = second[0] - first[0]
+    half = np.hypot(second[2] - second[0], first[2] - first[0])
+    low, centre, high = (np.exp(np.clip(x, -100.0, 100.0)) for x in (ratio - half, ratio, ratio + half))
+    u, (first_label, second_label) = laws[0].compression_mm, _escape_labels(labels)
+    axes.fill_between(u, low, high, color=INK, alpha=0.15, lw=0)
+    axes.plot(u, centre, color=INK, lw=1.3)
+    axes.axhline(1.0, color=INK, lw=0.8, ls=":")
+    in_range = u >= u[-1] / 10  # bands are wide at small compressions
+    bottom, top = min(low[in_range].min(), 1.0), max(high[in_range].max(), 1.0)
+    margin = 0.08 * (top - bottom) + 1e-6
+    axes.set_ylim(max(bottom - margin, 1 / LARGEST_RATIO), min(top + margin, LARGEST_RATIO))
+    axes.set(ylabel="ratio", xlabel="compression of the felt (mm)")
+    text = f"{second_label} over {first_label}"
+    axes.text(0.99, 0.05, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8.5, color=INK)

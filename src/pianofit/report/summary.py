@@ -1,0 +1,77 @@
+"""A fit as text for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..analysis import nearest_note
+from ..io.number_format import columns, format_with_interval
+from ..model import Simulation
+from ..result import Result
+from ..schema.fit import Recontact, RecordingFit
+from ..schema.quantities import Quantities
+from .modal_response import modal_response_line
+from .text import recontact_text
+
+__all__ = ["contact_text", "fit_summary"]
+
+
+def fit_summary(result: Result) -> str:
+    """Return statement, quantities with intervals, errors and warnings of a fit, as `pianofit fit` prints them."""
+    fit, several = result.fit, len(result.fit.recordings) > 1
+    lines = [fit.identifiability_statement, ""] if fit.identifiability_statement else []
+    # Invariants come first, because they do not depend on assumed sizes or velocities.
+    lines += [line for table in (fit.invariants, fit.parameters) for line in _quantity_lines(table)]
+    derived, levels, criterion = fit.derived, fit.levels, fit.criterion
+    contact = _contact(derived.contact_ms, derived.recontacts)
+    lines.append(f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)}), B {derived.B:.4g}, {contact}")
+    hammer = levels.reference_hammer_db
+    only = "" if hammer is None else f", initial hammer {hammer:.2f} dB"
+    where = "levels of partials" + (f" in {len(fit.recordings)} recordings" if several else "")
+    errors = f"initial {levels.initial_db:.2f} dB{only}, fitted {levels.fitted_db:.2f} dB"
+    lines.append(f"{levels.partials} {where}: {errors}")
+    lines += [] if fit.modal_response is None else [modal_response_line(fit.modal_response)]
+    lines += [_recording_line(recording) for recording in fit.recordings if several]
+    for name, value in criterion.bands.items():
+        lines.append(f"criterion, {name:7} {value.initial:10.4g} -> {value.final:.4g}")
+    if criterion.excluded_bands:
+        lines.append(f"dropped, no partial above the noise: {', '.join(criterion.excluded_bands)}")
+    return "\n".join([*lines, "" if fit.converged else "NOT CONVERGED", *fit.warnings]) + "\n"
+
+
+def contact_text(strike: Simulation) -> str:
+    """Return the duration of the first contact of a simulated strike, and its recontacts."""
+    again = [Recontact(1e3 * c.start, 1e3 * (c.stop - c.start), c.force) for c in strike.contacts[1:]]
+    return _contact(1e3 * strike.contact_time, again)
+
+
+def _contact(contact_ms: float, recontacts: Sequence[Recontact]) -> str:
+    return "; ".join(filter(None, (f"contact {contact_ms:.2f} ms", recontact_text(recontacts))))
+
+
+def _quantity_lines(table: Quantities) -> list[str]:
+    """Return lines with value, interval and status, and an empty line. An empty table has no lines."""
+    if not table:
+        return []
+    rows = [("", "value", "unit", "95 % interval", "status")]
+    ends = {"low": "below: the bound", "high": "above: the bound"}
+    for name, quantity in table.items():
+        unbounded = ", ".join(ends[end] for end in quantity.interval_unbounded)
+        status = quantity.status + (f" ({unbounded})" if unbounded else "")
+        if name.startswith("v/"):
+            status += f"  {Path(quantity.note).name}"
+        elif name.startswith("F/"):
+            status += f"  {quantity.note}"
+        value, span = format_with_interval(quantity.value, quantity.interval)
+        rows.append((name, value, "" if quantity.unit == "1" else quantity.unit, span, status))
+    return [*columns(rows, right=1), ""]
+
+
+def _recording_line(row: RecordingFit) -> str:
+    channel = f" ({row.channel})" * (row.channel not in ("mono", "average"))
+    return (
+        f"{Path(row.file).name}{channel}{' (the reference)' * row.is_reference}: {row.v_H0:.3g} m/s, "
+        f"gain {row.gain:.3g}, {row.pitch_offset_cents:+.2f} cents, "
+        f"levels {row.levels.initial_db:.1f} -> {row.levels.fitted_db:.2f} dB"
+    )

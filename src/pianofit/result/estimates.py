@@ -1,0 +1,183 @@
+"""The quantities that a fit reports: parameters, velocities and invariants with intervals and statuses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..inference.laplace import Posterior
+from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference.pipeline import InferenceResult
+from ..parameters import FIT_NAMES
+from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
+from .records import sizes
+from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
+
+__all__ = ["invariants", "parameters", "stroke_velocities"]
+
+# Logarithm of the largest number that can be written.
+LARGEST_LOG = 700.0
+# Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
+PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
+
+
+class Interval(NamedTuple):
+    """A 95 % interval."""
+
+    low: float
+    high: float
+    method: str
+    unbounded: tuple[str, ...] = ()
+
+
+def _laplace_interval(
+    posterior: Posterior, direction: np.ndarray, value: float, box: tuple[float, float] = (-np.inf, np.inf)
+) -> Interval | None:
+    """Interval of exp(direction · log θ) about the value shown, clipped to `box` (logarithms); None if it is fixed."""
+    interval = posterior.interval(direction)
+    if interval is None:
+        return None
+    ends = np.clip(np.add(interval, np.log(value) - float(posterior.mean[0] @ direction)), *box)
+    low, high = np.exp(np.minimum(ends, LARGEST_LOG)).tolist()
+    unbounded = [side for side, end, edge in zip(("low", "high"), ends, box, strict=True) if end == edge]
+    return Interval(low, high, "laplace", tuple(unbounded))
+
+
+def _other_interval(fit: InferenceResult, name: str) -> Interval | None:
+    """Interval of a parameter by the method that was asked for, if it is not Laplace's approximation."""
+    entry = fit.alternative_interval(name)
+    return Interval(*entry["interval"], entry["interval_by"], tuple(entry["interval_open"])) if entry else None
+
+
+def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
+    """The quantity with an interval; unchanged without one."""
+    if interval is None:
+        return quantity
+    low, high, method, unbounded = interval
+    return replace(quantity, interval=(low, high), interval_method=method, interval_unbounded=unbounded)
+
+
+def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
+    """The velocity of every stroke."""
+    problem, u = fit.problem, fit.problem.parametrisation
+    table = []
+    for at, measured, status in zip(
+        range(u.shared, u.size), problem.measured_velocity, velocity_statuses(fit), strict=True
+    ):
+        value = float(np.exp(fit.estimate.theta[at])) if measured is None else float(measured)
+        note = "its scale comes from the prior" if status == "scaled" else ""
+        quantity = Quantity(
+            "v_H0", value, UNITS["v_H0"], None, status, meaning_of("v_H0"), note, float(np.exp(fit.initial_theta[at]))
+        )
+        table.append(_with_interval(quantity, _laplace_interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))))
+    reference = problem.reference_velocity_index - u.shared
+    table[reference] = _with_interval(table[reference], _other_interval(fit, "v_H0"))
+    return table
+
+
+def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Quantity) -> Quantities:
+    """Every parameter; `velocity` is that of the reference stroke."""
+    u, start = fit.problem.parametrisation, fit.problem.initial_values
+    log, table = fit.posterior.mean[0], {"v_H0": velocity}
+    for name in u.reported:
+        i = u.index_of(name)
+        unit, meaning = unit_of(name, u.law), meaning_of(name, u.law)
+        if log[i] <= LOG_ABSENT_LOSS:
+            note = f"not a parameter of the felt law {u.law.name}"
+            table[name] = Quantity(name, 0.0, unit, None, "given", meaning, note, 0.0)
+            continue
+        scales = [f"the assumed {size}" for size in start.assumptions.get(name, ())]
+        scales += ["the velocities"] * (name in scaled_parameters(fit))
+        note = f"scales with {' and '.join(scales)}" if states[name] == "scaled" else ""
+        if name == "width" and u.free[i]:
+            note = "effective width: a raised cosine of this width acts like the unknown contact window"
+        # A fixed value is shown exactly as it was given.
+        value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
+        interval = _other_interval(fit, name) or _laplace_interval(fit.posterior, np.eye(u.size)[i], value, u.range(i))
+        quantity = Quantity(name, value, unit, None, states[name], meaning, note, float(start.initial[name]))
+        table[name] = _with_interval(quantity, interval)
+    last = len(PARAMETER_ORDER)
+    order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
+    return Quantities.of([*(table[name] for name in order), *sizes(start)])
+
+
+def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities:
+    """Quantities that do not depend on an assumed length or mass.
+
+    They do not depend on the velocity scale either, except the felt force at a compression, whose status is `scaled`.
+    """
+    u, g = fit.problem.parametrisation, fit.problem.initial_values.geometry
+    c, kappa = (u.index_of(name) for name in ("c", "kappa"))
+    B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / g.length) ** 2
+    unit = np.eye(u.size)
+    table = [
+        _ratio(fit, states, "f0", "c", 2 * g.length, "Hz"),
+        _combined("B", fit.gauge_fixed, 2 * (unit[kappa] - unit[c]), B, "1", (states["c"], states["kappa"])),
+        _ratio(fit, states, "M_H/M_S", "M_H", g.mass),
+        _ratio(fit, states, "x0/L", "x0", g.length),
+    ]
+    if u.force_and_exponent_index and u.free[u.force_and_exponent_index[0]]:  # a given K_H has no reference compression
+        table.append(_static_force(fit, states, *u.force_and_exponent_index))
+    return Quantities.of([*table, *_velocity_ratios(fit)])
+
+
+def _combined(
+    name: str,
+    posterior: Posterior,
+    direction: np.ndarray,
+    value: float,
+    unit: str,
+    factors: Sequence[Status],
+    note: str = "",
+) -> Quantity:
+    """A product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
+    status = invariant_status(factors, posterior.sd(direction))
+    quantity = Quantity(name, value, unit, None, status, meaning_of(name), note)
+    return _with_interval(quantity, _laplace_interval(posterior, direction, value))
+
+
+def _ratio(
+    fit: InferenceResult, states: Mapping[str, Status], name: str, of: str, divisor: float, unit: str = "1"
+) -> Quantity:
+    """The parameter `of` over a fixed size, with the interval by the other method if there is one."""
+    at, other = fit.problem.parametrisation.index_of(of), _other_interval(fit, of)
+    value = float(np.exp(fit.posterior.mean[0, at])) / divisor
+    direction = np.eye(fit.problem.parametrisation.size)[at]
+    quantity = _combined(name, fit.gauge_fixed, direction, value, unit, [states[of]])
+    scaled = None if other is None else other._replace(low=other.low / divisor, high=other.high / divisor)
+    return _with_interval(quantity, scaled)
+
+
+def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:
+    """The static felt force at the reference compression over the string mass."""
+    problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
+    direction = np.eye(u.size)[stiffness] + float(np.exp(z[p])) * u.log_reference_compression * np.eye(u.size)[p]
+    note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
+    note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
+    decisive: dict[Status, bool] = {
+        "at-bound": "at-bound" in (states[u.names[stiffness]], states[u.names[p]]),
+        "not-identifiable": u.names[stiffness] in unidentifiable_parameters(fit),
+    }
+    factors: list[Status] = [status for status, holds in decisive.items() if holds]
+    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass
+    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", factors, note)
+    is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
+    return replace(quantity, status="scaled") if is_scaled else quantity
+
+
+def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
+    """The velocities of the strokes over that of the reference stroke."""
+    problem, z, states = fit.problem, fit.estimate.theta, velocity_statuses(fit)
+    unit, shared = np.eye(problem.parametrisation.size), problem.parametrisation.shared
+    reference, table = problem.reference_velocity_index, []
+    for stroke, state in enumerate(states):
+        if (at := shared + stroke) != reference:
+            name, file = f"v/v_ref {stroke + 1}", problem.recordings[problem.structure.stroke.index(stroke)].path
+            value, direction = float(np.exp(z[at] - z[reference])), unit[at] - unit[reference]
+            factors: list[Status] = [state, states[reference - shared]]
+            table.append(_combined(name, fit.posterior, direction, value, "1", factors, Path(file).name))
+    return table

@@ -1,0 +1,144 @@
+"""The identifiability statement: the kind of measurement, and which parameters it determines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..conversions import HALF_WIDTH_95
+from ..inference.pipeline import InferenceResult
+from ..io.number_format import format_relative_uncertainty, with_half_interval
+from ..schema.fit import LevelErrors
+from ..schema.quantities import Status
+from .statuses import (
+    FELT_EXCESS_DB,
+    HAMMER_EXCESS_DB,
+    PIANIST_VELOCITY_RATIO,
+    exceeds_pianist,
+    path_compared,
+    velocity_range,
+)
+
+__all__ = ["best_combination", "identifiability_statement", "strong_correlations"]
+
+# Correlations of two logarithms beyond this are listed.
+STRONG_CORRELATION = 0.99
+
+
+def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors) -> str:
+    """The opening sentences of a result."""
+    if fit.problem.calibrated:
+        return _calibrated(fit, states)
+    problem, law, compared = fit.problem, fit.problem.parametrisation.law, path_compared(fit)
+    start = problem.initial_values
+    hammer = "initial" if start.user_given or start.law.hammers is None else "literature"
+    text = (
+        f"{_uncalibrated(fit)} The rms error of the partial levels is {levels.initial_db:.1f} dB before the fit, "
+        f"{levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
+        f"and {'output path' if problem.path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
+    )
+    if not compared:
+        u = problem.parametrisation
+        felt = any(u.free[u.index_of(name)] for name in law.parameters)
+        prior = "the prior of the output path" if problem.path else "the prior"
+        return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
+    if exceeds_pianist(fit):
+        low, ratio, high = velocity_range(fit)
+        return (
+            f"{text} The fitted velocities differ by a factor of {ratio:.3g} ({low:.3g} to {high:.3g}), those of a "
+            f"pianist by at most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not "
+            "describe. Do not interpret the felt parameters and velocities."
+        )
+    if problem.velocity_scale_free:
+        scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))
+        return (
+            f"{text} No hammer velocity was measured. {_listed('Velocities', *scaled)} are therefore determined only "
+            "up to one common factor, and their intervals come from the prior. The ratios listed first, f0 and B do "
+            "not depend on this factor."
+        )
+    return text
+
+
+def _uncalibrated(fit: InferenceResult) -> str:
+    """What uncalibrated recordings determine, by their number and velocities."""
+    count = len(fit.problem.recordings)
+    if count == 1 and fit.problem.path:
+        return (
+            "One uncalibrated recording does not determine the hammer felt. A different felt gives the same sound "
+            "through a different output path (soundboard, room, microphone). A softer felt struck faster also gives "
+            "the same sound at another gain."
+        )
+    if count == 1:
+        return (
+            "One recording of unknown scale does not determine the hammer felt. A softer felt struck faster gives the "
+            "same sound at another gain."
+        )
+    if path_compared(fit):
+        return (
+            f"{count} uncalibrated recordings of one key were compared. Differences between strokes are attributed to "
+            "the hammer. Everything common to all strokes is attributed to the output path (soundboard, room, "
+            "microphone)."
+        )
+    return (
+        f"{count} uncalibrated recordings do not determine the hammer felt. This needs strokes of clearly different "
+        "velocities through one output path (soundboard, room, microphone). Without them, a different felt gives the "
+        "same sound through a different output path."
+    )
+
+
+def _calibrated(fit: InferenceResult, states: Mapping[str, Status]) -> str:
+    """The statement of calibrated recordings."""
+    several = len(fit.problem.recordings) > 1
+    opening = "The recordings are calibrated" if several else "The recording is calibrated"
+    if fit.excess > FELT_EXCESS_DB:
+        advice = "An effect outside the model is present. Do not interpret the felt parameters."
+        if fit.excess > HAMMER_EXCESS_DB:
+            advice = (
+                "Another hammer may explain them better, or the setup does not describe this string. Do not interpret "
+                "the hammer parameters."
+            )
+        return f"{opening}, but the model misses the partial levels by {fit.excess:.2f} dB beyond the noise. {advice}"
+    unidentifiable = [name for name, state in states.items() if state == "not-identifiable" and name != "width"]
+    if unidentifiable:
+        return f"{opening}, but {'do' if several else 'does'} not determine {_listed(*unidentifiable)}."
+    pairs = (
+        f" {a} and {b} are determined mainly in one combination: {best_combination(fit, a, b)}."
+        for a, b, _ in strong_correlations(fit)
+    )
+    return f"{opening} and {'determine' if several else 'determines'} all free parameters." + "".join(pairs)
+
+
+def _listed(*names: str) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def strong_correlations(fit: InferenceResult) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the recordings do not distinguish, with their correlation."""
+    names, cov = fit.problem.parametrisation.names, fit.posterior.covariance[0]
+    sd = np.sqrt(np.diag(cov))
+    return [
+        (names[j], names[i], float(r))
+        for i in range(len(names))
+        for j in range(i)
+        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG_CORRELATION
+    ]
+
+
+def best_combination(fit: InferenceResult, a: str, b: str) -> str:
+    """The best-determined combination of two correlated parameters, with its uncertainty.
+
+    log a − s log b has the least variance at s = cov(a, b)/var(b). For K_H and p the combination is the static force
+    K_H u^p at the compression u of least variance: d log(K_H u^p) = d log K_H + log(u) p d log p.
+    """
+    u = fit.problem.parametrisation
+    i, j = u.index_of(a), u.index_of(b)
+    cov, mean = fit.posterior.covariance[0], fit.posterior.mean[0]
+    slope = cov[i, j] / cov[j, j]
+    half = HALF_WIDTH_95 * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
+    if (a, b) == u.law.power:
+        p = float(np.exp(mean[j]))
+        compression = float(np.exp(-slope / p))
+        force = with_half_interval(float(np.exp(mean[i]) * compression**p), half, "N")
+        return f"the static felt force at {1e3 * compression:.4g} mm, {a} u^{b} = {force}"
+    return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
