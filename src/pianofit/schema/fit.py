@@ -46,6 +46,7 @@ __all__ = [
     "PathEntry",
     "PathPrior",
     "Pickup",
+    "PickupQuantity",
     "PosteriorDiagnostics",
     "ProfileCurve",
     "Recontact",
@@ -69,6 +70,7 @@ HINT = "give the file that pianofit fit wrote"
 # Levels of an output path, dB: amplitudes beyond them are lost in rounding.
 PathLevel = Annotated[float, Meta(ge=-300.0, le=300.0)]
 Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
+PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure"]
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class PathEntry:
 class Pickup:
     """What was recorded, and the output path between the string and the file."""
 
-    quantity: Literal["velocity", "displacement", "bridge-force", "pressure"]
+    quantity: PickupQuantity
     path: PathEntry | None = None  # of the reference recording, at the best minimum
     paths: dict[str, PathEntry] = field(default_factory=dict)  # by number of the path group, if there are several
 
