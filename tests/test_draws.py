@@ -19,7 +19,7 @@ from table_cases import PHI, SHAPES, noise, point, shared, table
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Result
 from pianofit.errors import FitError
-from pianofit.inference.intervals import Observations
+from pianofit.inference import ObservedValues
 from pianofit.inference.likelihood import pointwise
 from pianofit.result.draws import DRAWS_FILE, Draws, encode_draws, read_draws
 from pianofit.schema.fit import DrawsFile
@@ -33,7 +33,7 @@ def draws(chains: int = 2, count: int = 30) -> Draws:
     """Random draws of an invented fit."""
     random = np.random.default_rng(3)
     values = {name: random.normal(size=(chains, count)) for name in ("c", "v_H0", "v_H0 2", "f0", "M_H/M_S")}
-    seen = {kind: Observations(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
+    seen = {kind: ObservedValues(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
             for kind, n in (("level", 5), ("frequency", 3), ("absent", 0))}  # fmt: skip
     likelihood = {kind: random.normal(size=(chains, count, len(own.value))) for kind, own in seen.items()}
     return Draws(values, INVARIANTS, likelihood, seen)

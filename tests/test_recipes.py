@@ -19,7 +19,7 @@ from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECI
 from pianofit.cli import main
 from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError
-from pianofit.inference.initial_values import InitialValues, starting_values
+from pianofit.inference import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
