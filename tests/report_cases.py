@@ -20,7 +20,7 @@ from pianofit.model.note import Note
 from pianofit.model.output_path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.recording.recording import Recording
-from pianofit.report.page import Strokes, draw_figures
+from pianofit.report.page import draw_figures
 from pianofit.result import FittedRecording, RenderedFit, Result
 from pianofit.result.cross_validation import CrossValidation, LeftOutRecording
 from pianofit.schema.decode import builtins_of, convert
@@ -67,10 +67,10 @@ def stroke(duration, depth, stiffness, exponent, loss):
 
 
 def example_strokes(velocities=(3.2, 0.6, 1.5), count=7, rate=16_000, seconds=2.0):
-    """Return the sounds of the velocity slider."""
+    """Return the sounds of the velocity slider by velocity, and True: these are within the recordings."""
     velocity = np.geomspace(min(velocities), max(velocities), count)
     tones = [sound(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
-    return Strokes(velocity, tuple(0.05 * v * x for v, x in zip(velocity, tones, strict=True)), rate, count - 1, True)
+    return {v: 0.05 * v * x for v, x in zip(velocity.tolist(), tones, strict=True)}, True
 
 
 # --- the result -------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from pianofit.errors import RecordingError
 from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
 from pianofit.io.containers import SOUNDS, audio_of
 from pianofit.recording.recording import load_recording, recording_from_samples
-from pianofit.result.remarks import mixed_format_warnings
+from pianofit.result.warnings import mixed_format_warnings
 
 SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 LOSSLESS = [(container, subtype) for container in ("RF64", "W64", "AIFF", "CAF", "AU") for subtype in SUBTYPES]

@@ -9,10 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pianofit import analyse, fit, load_note, recording_from_samples, setup_from_dict
+from pianofit import Quantity, analyse, fit, load_note, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
 from pianofit.felt import LAWS, RelaxingHammer
 from pianofit.parameters import Hammer
+from pianofit.schema.decode import builtins_of, encode_json
+from pianofit.schema.fit import Fit
+from pianofit.schema.quantities import MEANINGS
 from pianofit.setup import load_setup
 from studies.bensa2005.laboratory import SyntheticMeasurement, measure
 
@@ -35,22 +38,18 @@ def stroke(felt: str):
 
 
 @functools.cache
-def fitted(felt: str, law: str) -> dict:
+def fitted(felt: str, law: str) -> Fit:
     recording, analysis, given, _ = stroke(felt)
     initial = {k: v for k, v in given.initial.items() if k in ("K_H", "p", "M_H")}
-    return fit(recording, analyses=[analysis], setup=replace(given, initial=initial, felt=law)).document
-
-
-def value(document: dict, name: str) -> float:
-    return document["parameters"][name]["value"]
+    return fit(recording, analyses=[analysis], setup=replace(given, initial=initial, felt=law)).fit
 
 
 def test_a_felt_with_memory_is_found():
-    document, true = fitted("memory", "stulov"), stroke("memory")[3]
-    assert document["felt"] == "stulov"
-    assert value(document, "M_H") == pytest.approx(true["M_H"], rel=0.01)
-    assert value(document, "p") == pytest.approx(true["p"], rel=0.02)
-    epsilon, tau = value(document, "epsilon"), value(document, "tau")
+    found, true = fitted("memory", "stulov"), stroke("memory")[3]
+    assert found.felt == "stulov"
+    assert found.parameters.M_H.value == pytest.approx(true["M_H"], rel=0.01)
+    assert found.parameters.p.value == pytest.approx(true["p"], rel=0.02)
+    epsilon, tau = found.parameters.epsilon.value, found.parameters.tau.value
     # A stroke that is slow compared with τ determines the relaxed felt's force and its lag ετ/(1 - ε).
     lab = SyntheticMeasurement()
     assert epsilon * tau / (1 - epsilon) == pytest.approx(lab.eps * lab.tau / (1 - lab.eps), rel=0.1)
@@ -59,34 +58,31 @@ def test_a_felt_with_memory_is_found():
 @pytest.mark.slow  # four fits, each with its own program
 def test_the_right_law_fits_better_than_another():
     for felt, law in SAME.items():
-        own = fitted(felt, law)["diagnostics"]["excess"]["level_db"]
-        other = fitted(felt, "power" if law == "stulov" else "stulov")["diagnostics"]["excess"]["level_db"]
+        own = fitted(felt, law).diagnostics.excess_sd.level_db
+        other = fitted(felt, "power" if law == "stulov" else "stulov").diagnostics.excess_sd.level_db
         assert own <= other
     # The prior of the excess, about 0.7 dB, keeps it a fifth above the residuals of these few levels.
-    assert fitted("memory", "stulov")["diagnostics"]["excess"]["level_db"] < 0.025
-    assert fitted("memory", "power")["diagnostics"]["excess"]["level_db"] > 0.05
+    assert fitted("memory", "stulov").diagnostics.excess_sd.level_db < 0.025
+    assert fitted("memory", "power").diagnostics.excess_sd.level_db > 0.05
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
-    document = json.loads(json.dumps(fitted("power", law)))
-    table = document["parameters"]
+    found = fitted("power", law)
+    table = found.parameters
     assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(LAWS[law].parameters)
     if "mu" not in LAWS[law].parameters:
-        assert table["mu"] == {
-            "value": 0.0, "unit": "s/m", "interval": None, "interval_by": None, "interval_open": [], "status": "given",
-            "initial": 0.0,
-            "note": f"not a parameter of the felt law {law}",
-        }  # fmt: skip
-    (tmp_path / "fit.json").write_text(json.dumps(document))
+        note = f"not a parameter of the felt law {law}"
+        assert table.mu == Quantity("mu", 0.0, "s/m", None, "given", MEANINGS["mu"], note, 0.0)
+    (tmp_path / "fit.json").write_bytes(encode_json(found))
     note, _ = load_note(tmp_path / "fit.json")
     assert isinstance(note.hammer, RelaxingHammer if law == "stulov" else Hammer)
-    assert note.hammer.mu == table["mu"]["value"]
+    assert note.hammer.mu == table.mu.value
     assert np.isfinite(note.render_stroke(44_100, 4410)[0]).all()
 
 
 def test_half_a_memory_is_no_felt(tmp_path):
-    document = json.loads(json.dumps(fitted("power", "stulov")))
+    document = builtins_of(fitted("power", "stulov"))
     del document["parameters"]["tau"]
     (tmp_path / "fit.json").write_text(json.dumps(document))
     with pytest.raises(FitError, match="epsilon and tau"):

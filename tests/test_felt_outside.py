@@ -53,7 +53,7 @@ def test_its_parameters_are_found_within_their_intervals(example):
         assert float(low) < float(true) < float(high), name
         assert float(high) / float(low) < 1.3, name  # the prior spans a factor of 50 and more
     result = pianofit.Result.load(folder, felt=names["HARDENING"])
-    assert result.document["converged"]
+    assert result.fit.converged
     assert {result.parameters[name].status for name in ("K", "s", "mu", "M_H")} == {"fitted"}
     assert result.parameters.M_H.interval is not None
     low, high = result.parameters.M_H.interval

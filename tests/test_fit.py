@@ -33,123 +33,119 @@ from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import Posterior, build_problem
 from pianofit.inference.observation_tables import RecordingStructure
-from pianofit.io.files import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording.recording import load_recording
-from pianofit.report.build import identifiability_of
-from pianofit.result.identifiability import STATUSES, _implausible_velocities, _outlying_recordings, _path_compared
+from pianofit.result.statuses import exceeds_pianist, path_compared, velocity_range
+from pianofit.result.warnings import outlier_warnings
+from pianofit.schema.decode import builtins_of, convert, encode_json
+from pianofit.schema.fit import Fit
+from pianofit.schema.quantities import STATUSES, Quantities
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
 
 
 def test_a_calibrated_strike_is_read_back():
-    document = calibrated().document
-    assert not misses(document, FIRST), errors(document, FIRST)
-    assert document["converged"]
-    assert all(document["parameters"][name]["status"] == "fitted" for name in ALLOWED)
-    assert document["recordings"][0]["gain_status"] == "given"
-    assert document["recordings"][0]["gain"] == pytest.approx(1 / FIRST.scale)
+    found = calibrated().fit
+    assert not misses(found, FIRST), errors(found, FIRST)
+    assert found.converged
+    assert all(found.parameters[name].status == "fitted" for name in ALLOWED)
+    assert found.recordings[0].gain_status == "given"
+    assert found.recordings[0].gain == pytest.approx(1 / FIRST.scale)
 
 
 def test_the_true_parameters_differ_from_the_initial_ones():
-    initial = {name: {"value": p["initial"]} for name, p in calibrated().document["parameters"].items()}
-    off = errors({"parameters": initial, "derived": calibrated().document["derived"]}, FIRST)
+    fit = calibrated().fit
+    initial = Quantities.of(dataclasses.replace(q, value=q.initial) for q in fit.parameters.values())
+    off = errors(dataclasses.replace(fit, parameters=initial), FIRST)
     assert off["felt"] > 5 * FELT
     assert off["M_H"] > 3 * ALLOWED["M_H"]
     assert off["v_H0"] > 3 * ALLOWED["v_H0"]
 
 
 def test_intervals_hold_the_truth_or_come_close():
-    parameters = calibrated().document["parameters"]
+    parameters = calibrated().fit.parameters
     for name, true in FIRST.values.items():
-        low, high = np.log(parameters[name]["interval"])
+        low, high = np.log(parameters[name].interval)
         middle, sd = (low + high) / 2, (high - low) / 4
         # The error has more causes than noise: another contact window, and the time steps of both simulations.
         assert abs(np.log(true) - middle) < 5 * sd + 5e-3, name
 
 
 def test_a_stiffness_that_is_known_is_held_and_the_rest_of_the_felt_found():
-    document = fit_twin(record(FIRST), setup_of(FIRST, fixed={"K_H": FIRST.hammer.K_H})).document
-    assert document["parameters"]["K_H"]["value"] == FIRST.hammer.K_H
-    assert not misses(document, FIRST), errors(document, FIRST)
-    assert document["parameters"]["p"]["value"] == pytest.approx(FIRST.hammer.p, rel=2e-3)
+    found = fit_twin(record(FIRST), setup_of(FIRST, fixed={"K_H": FIRST.hammer.K_H})).fit
+    assert found.parameters["K_H"].value == FIRST.hammer.K_H
+    assert not misses(found, FIRST), errors(found, FIRST)
+    assert found.parameters["p"].value == pytest.approx(FIRST.hammer.p, rel=2e-3)
 
 
 def test_the_criterion_falls_in_every_band_and_the_sound_is_the_recording():
     result = calibrated()
     for name in ("global", "band1", "band2", "band3"):
-        values = result.document["criterion"][name]
-        assert values["final"] < 1e-3 * values["initial"]
-        assert values["final"] < 1e-3
+        values = result.fit.criterion.bands[name]
+        assert values.final < 1e-3 * values.initial
+        assert values.final < 1e-3
     rest = result.fitted.samples - result.recording.samples
     attack = slice(result.recording.onset, result.recording.onset + result.recording.rate)
     assert np.sqrt(np.mean(rest[attack] ** 2) / np.mean(result.recording.samples[attack] ** 2)) < 0.02
 
 
-def test_the_document_is_what_the_design_says():
-    document = json.loads(json.dumps(calibrated().document, allow_nan=False))
-    assert {
-        "schema", "program", "recipe", "felt", "seed", "converged", "claims", "messages", "invariants", "parameters",
-        "recordings", "pickup", "minima", "covariance", "derived", "criterion", "levels", "diagnostics", "versions",
-    } <= set(document)  # fmt: skip
-    assert document["schema"] == FIT_SCHEMA
-    for name, parameter in document["parameters"].items():
-        assert {"value", "unit", "interval", "interval_by", "interval_open", "status", "initial", "note"} <= {
-            *parameter
-        }
-        assert parameter["status"] in STATUSES
-        if parameter["interval"] is not None:
-            assert parameter["interval"][0] < parameter["value"] < parameter["interval"][1]
+def test_a_record_is_complete_and_can_be_written():
+    found = calibrated().fit
+    assert builtins_of(convert(json.loads(encode_json(found)), Fit, "fit.json", "")) == builtins_of(found)
+    for name, parameter in found.parameters.items():
+        assert parameter.status in STATUSES
+        if parameter.interval is not None:
+            assert parameter.interval[0] < parameter.value < parameter.interval[1]
         if name in PARAMETERS:
-            assert parameter["unit"] == PARAMETERS[name].unit
-    check({name: document["parameters"][name]["value"] for name in FIT_NAMES})
-    assert {"file", "sha256", "v_H0", "gain"} <= set(document["recordings"][0])
-    assert document["recordings"][0]["channel"] == "mono"
-    assert document["criterion"]["dropped"] == []
-    assert all(isinstance(text, str) and text.isprintable() for text in (*document["messages"], document["claims"]))
+            assert parameter.unit == PARAMETERS[name].unit
+    check({name: found.parameters[name].value for name in FIT_NAMES})
+    assert found.recordings[0].channel == "mono"
+    assert found.criterion.excluded_bands == ()
+    assert all(text.isprintable() for text in (*found.warnings, found.identifiability_statement))
 
 
 # --- uncalibrated -----------------------------------------------------------------------------------------------------
 
 
 def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
-    document = uncalibrated().document
-    states = {name: p["status"] for name, p in document["parameters"].items()}
-    assert document["claims"].startswith("One uncalibrated recording does not determine")
+    found = uncalibrated().fit
+    states = {name: p.status for name, p in found.parameters.items()}
+    assert found.identifiability_statement.startswith("One uncalibrated recording does not determine")
     assert all(states[name] in ("not-identifiable", "at-bound") for name in DEFAULT_LAW.parameters)
     assert all(states[name] == "not-identifiable" for name in ("v_H0", "mu"))
     assert states["L"] == states["M_S"] == states["width"] == "assumed"
     # Values that depend on an assumed length are scaled, the others fitted.
     assert all(states[name] == "scaled" for name in ("c", "kappa", "b2"))
-    assert "length" in document["parameters"]["c"]["note"]
+    assert "length" in found.parameters["c"].note
     assert states["b1"] == "fitted"
-    assert {name: entry["status"] for name, entry in document["invariants"].items()} == {
+    assert {name: entry.status for name, entry in found.invariants.items()} == {
         "f0": "fitted", "B": "fitted", "M_H/M_S": "not-identifiable", "x0/L": states["x0"].replace("scaled", "fitted"),
         "F/M_S": "not-identifiable",
     }  # fmt: skip
-    assert document["recordings"][0]["gain_status"] == "fitted"
+    assert found.recordings[0].gain_status == "fitted"
     # Velocities, strike and output path explain a single recording nearly as well as the fitted hammer.
-    levels = document["levels"]
-    assert levels["fitted_db"] < levels["path_only_db"] + 0.1 < 0.2 * levels["initial_db"]
+    levels = found.levels
+    assert levels.fitted_db < levels.reference_hammer_db + 0.1 < 0.2 * levels.initial_db
 
 
 def test_what_needs_no_calibration_is_still_right():
-    derived = uncalibrated().document["derived"]
+    derived = uncalibrated().fit.derived
     string, length = FIRST.string, FIRST.geometry.length
-    assert abs(1200 * np.log2(derived["f0"] / FIRST.f0)) < 0.2
-    assert derived["B"] == pytest.approx((string.kappa * np.pi / (string.c * length)) ** 2, rel=0.01)
-    assert uncalibrated().document["parameters"]["b1"]["value"] == pytest.approx(string.b1, rel=0.05)
+    assert abs(1200 * np.log2(derived.f0 / FIRST.f0)) < 0.2
+    B = derived.B
+    assert B == pytest.approx((string.kappa * np.pi / (string.c * length)) ** 2, rel=0.01)
+    assert uncalibrated().fit.parameters["b1"].value == pytest.approx(string.b1, rel=0.05)
 
 
 def test_a_fit_improves_on_its_start():
-    document = uncalibrated().document
-    assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]
+    found = uncalibrated().fit
+    assert found.levels.fitted_db < found.levels.initial_db
     for name in ("global", "band1", "band2", "band3"):
-        values = document["criterion"][name]
+        values = found.criterion.bands[name]
         # Band 1 is right from the start; the rough output path delays it by 1 ms.
-        assert values["final"] < max(values["initial"], 0.03)
-    assert document["criterion"]["global"]["final"] < 0.3 * document["criterion"]["global"]["initial"]
+        assert values.final < max(values.initial, 0.03)
+    assert found.criterion.bands["global"].final < 0.3 * found.criterion.bands["global"].initial
 
 
 @pytest.mark.parametrize(
@@ -161,9 +157,7 @@ def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, 
     recordings = [SimpleNamespace(path=f"some/layer-{i}.wav") for i in range(len(errors))]
     for group, word in ((0, "its own group"), (1, "has a group of its own")):
         layout = SimpleNamespace(group=[i * group for i in range(len(errors))])
-        warnings = _outlying_recordings(
-            SimpleNamespace(problem=SimpleNamespace(recordings=recordings, structure=layout)), errors
-        )
+        warnings = outlier_warnings(SimpleNamespace(recordings=recordings, structure=layout), errors)
         assert [text.split(":")[0] for text in warnings] == [f"layer-{i}.wav" for i in named]
         assert all(word in text for text in warnings)
 
@@ -180,21 +174,19 @@ def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared
     problem = SimpleNamespace(parametrisation=SimpleNamespace(size=len(z), shared=2), structure=layout)
     posterior = Posterior(z[None], 0.05**2 * np.eye(len(z))[None], np.ones(1))
     assert (
-        _path_compared(SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior))
+        path_compared(SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior))
         == compared
     )
 
 
-@pytest.mark.parametrize(("ratio", "spread", "part"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 (49.3 to 73")])
-def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, part):
+@pytest.mark.parametrize(("ratio", "spread", "beyond"), [(19.0, 0.1, False), (40.0, 0.5, False), (60.0, 0.1, True)])
+def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, beyond):
     problem = SimpleNamespace(parametrisation=SimpleNamespace(size=5, shared=2))
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
     posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
-    text = _implausible_velocities(
-        SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior)
-    )
-    assert part in text
-    assert bool(text) == bool(part)
+    fit = SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior)
+    assert exceeds_pianist(fit) == beyond
+    assert velocity_range(fit) == pytest.approx(ratio * np.exp(1.96 * spread * np.array([-1, 0, 1])), rel=1e-3)
 
 
 # --- assumption-free quantities ---------------------------------------------------------------------------------------
@@ -204,15 +196,11 @@ def test_invariants_need_no_measured_velocity():
     """Three strokes through one output path without a measured velocity determine ratios and products."""
     recordings, analyses = through(SEVERAL)
     found = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False))
-    document = found.document
-    # A loaded fit has no recordings, but its page has the same correlations, at the same reference velocity.
-    back = dataclasses.replace(found, recordings=(), reference_index=0)
     assert found.reference_index > 0
-    np.testing.assert_array_equal(identifiability_of(back).correlation, identifiability_of(found).correlation)
-    invariants, g = document["invariants"], FIRST.geometry
-    pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
+    invariants, g = found.invariants, FIRST.geometry
+    pressed = float(invariants["F/M_S"].note.split(" at ")[1].split(" mm")[0]) / 1e3
     # Fitted velocities are scaled by a common factor, and so are compressions and forces.
-    scale = next(t["v_H0"] for t in document["recordings"] if t["first"]) / VELOCITIES[2]
+    scale = next(t.v_H0 for t in found.fit.recordings if t.is_reference) / VELOCITIES[2]
     true = {
         "f0": FIRST.f0,
         "B": (FIRST.string.kappa * np.pi / (FIRST.string.c * g.length)) ** 2,
@@ -225,32 +213,32 @@ def test_invariants_need_no_measured_velocity():
     assert set(invariants) == set(true)
     # The strike position was given.
     given = {"x0/L": "given", "F/M_S": "scaled"}
-    assert {name: entry["status"] for name, entry in invariants.items()} == dict.fromkeys(true, "fitted") | given
+    assert {name: entry.status for name, entry in invariants.items()} == dict.fromkeys(true, "fitted") | given
     for name, value in true.items():
-        assert invariants[name]["value"] == pytest.approx(value, rel=0.03 if name == "F/M_S" else 0.01), name
+        assert invariants[name].value == pytest.approx(value, rel=0.03 if name == "F/M_S" else 0.01), name
     for name in ("v/v_ref 1", "v/v_ref 2", "M_H/M_S"):
-        low, high = invariants[name]["interval"]
+        low, high = invariants[name].interval
         assert np.log(high / low) < 0.1, name
     # The scale of the velocities comes from the prior, and the statement says so.
-    low, high = document["parameters"]["v_H0"]["interval"]
+    low, high = found.parameters["v_H0"].interval
     assert np.log(high / low) > 1.0
-    states = {name: p["status"] for name, p in document["parameters"].items()}
-    assert {t["v_H0_status"] for t in document["recordings"]} == {"scaled"}
+    states = {name: p.status for name, p in found.parameters.items()}
+    assert {t.v_H0_status for t in found.fit.recordings} == {"scaled"}
     assert states["K_H"] == states["mu"] == "scaled"
     assert states["p"] == "fitted"
-    assert "No hammer velocity was measured" in document["claims"]
+    assert "No hammer velocity was measured" in found.identifiability_statement
 
 
 def test_shares_of_the_minima_are_those_of_the_notes():
     for result in (calibrated(), uncalibrated(), path_fit(SEVERAL)):
-        shares = [minimum["share"] for minimum in result.document["minima"]]
+        shares = [minimum.weight for minimum in result.fit.minima]
         assert sum(shares) == pytest.approx(1.0)
         assert shares == list(result.weights)
         assert len(result.minima_notes) == len(shares)
         assert shares == sorted(shares, reverse=True)
-        first = result.document["minima"][0]["parameters"]
+        first = result.fit.minima[0].parameters
         for name, value in first.items():
-            assert result.document["parameters"][name]["value"] == pytest.approx(value)
+            assert result.fit.parameters[name].value == pytest.approx(value)
 
 
 # --- given values -----------------------------------------------------------------------------------------------------
@@ -260,16 +248,16 @@ def test_known_values_and_bounds_hold_exactly():
     known = {"v_H0": 1.4, "mu": 0.25, "c": 352.0}
     bounds = {"p": [2.2, 2.7], "M_H": [1e-3, 4.5e-3], "K_H": [1e8, 2e10]}  # the truth lies outside of all of them
     result = fit_twin(record(FIRST), setup_of(FIRST, fixed=known, bounds=bounds))
-    parameters = result.document["parameters"]
+    parameters = result.fit.parameters
     for name, value in known.items():
-        assert parameters[name]["value"] == value
-        assert parameters[name]["status"] == "given"
-        assert parameters[name]["interval"] is None
+        assert parameters[name].value == value
+        assert parameters[name].status == "given"
+        assert parameters[name].interval is None
     for name, (low, high) in bounds.items():
-        assert low * (1 - 1e-9) <= parameters[name]["value"] <= high * (1 + 1e-9)
-    pressed = [name for name in bounds if parameters[name]["status"] == "at-bound"]
+        assert low * (1 - 1e-9) <= parameters[name].value <= high * (1 + 1e-9)
+    pressed = [name for name in bounds if parameters[name].status == "at-bound"]
     assert pressed
-    assert any(all(name in text for name in pressed) for text in result.document["messages"])
+    assert any(all(name in text for name in pressed) for text in result.fit.warnings)
 
 
 def test_a_measured_velocity_overrides_the_setups():
@@ -284,10 +272,10 @@ def test_a_measured_velocity_overrides_the_setups():
 
 def test_initial_values_are_where_one_start_lies_and_are_shown():
     initial = {"K_H": 2e10, "p": 2.4, "M_H": 6e-3, "mu": 0.1, "v_H0": 2.0}
-    document = fit_twin(record(FIRST), setup_of(FIRST, initial=initial)).document
+    found = fit_twin(record(FIRST), setup_of(FIRST, initial=initial)).fit
     for name, value in initial.items():
-        assert document["parameters"][name]["initial"] == pytest.approx(value, rel=1e-12), name
-    assert not misses(document, FIRST), errors(document, FIRST)
+        assert found.parameters[name].initial == pytest.approx(value, rel=1e-12), name
+    assert not misses(found, FIRST), errors(found, FIRST)
 
 
 # --- real notes -------------------------------------------------------------------------------------------------------
@@ -307,16 +295,16 @@ def test_initial_values_are_where_one_start_lies_and_are_shown():
 )
 def test_one_recording_of_a_real_note_is_fitted_and_says_how_well(recordings, name, note):
     recording = load_recording(recordings / f"{name}.flac")
-    document = fit(recording, note=note).document
-    json.dumps(document, allow_nan=False)
-    assert document["claims"]
-    assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]
-    assert document["criterion"]["global"]["final"] < document["criterion"]["global"]["initial"]
-    for band in {"band1", "band2", "band3"} - set(document["criterion"]["dropped"]):
-        values = document["criterion"][band]
+    found = fit(recording, note=note).fit
+    json.dumps(found, allow_nan=False)
+    assert found.identifiability_statement
+    assert found.levels.fitted_db < found.levels.initial_db
+    assert found.criterion.bands["global"].final < found.criterion.bands["global"].initial
+    for band in {"band1", "band2", "band3"} - set(found.criterion.excluded_bands):
+        values = found.criterion.bands[band]
         # The irregular output path of a soundboard can leave a band worse. Then a message must name it.
-        named = any(band in m for m in document["messages"] if "criterion" in m)
-        assert named == (values["final"] >= values["initial"]), band
+        named = any(band in m for m in found.warnings if "criterion" in m)
+        assert named == (values.final >= values.initial), band
 
 
 # --- the study --------------------------------------------------------------------------------------------------------
@@ -327,12 +315,12 @@ def test_one_recording_of_a_real_note_is_fitted_and_says_how_well(recordings, na
 def test_random_parameters_are_recovered(seed):
     truth = random_truth(seed)
     window = ("parabola", "triangle", "biweight")[seed % 3]
-    document = fit_twin(record(truth, window=window, rate=(48_000, 44_100)[seed % 2]), setup_of(truth)).document
-    assert not misses(document, truth), errors(document, truth)
+    found = fit_twin(record(truth, window=window, rate=(48_000, 44_100)[seed % 2]), setup_of(truth)).fit
+    assert not misses(found, truth), errors(found, truth)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_search_does_not_depend_on_its_luck(seed):
-    document = fit_twin(record(FIRST), setup_of(FIRST), seed=seed).document
-    assert not misses(document, FIRST), errors(document, FIRST)
+    found = fit_twin(record(FIRST), setup_of(FIRST), seed=seed).fit
+    assert not misses(found, FIRST), errors(found, FIRST)

@@ -24,12 +24,14 @@ from twin_cases import (
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
-from pianofit.fit_file import notes_of_minima, read_fit, relative_gains
 from pianofit.inference import build_problem
+from pianofit.model.output_path import VelocityDiscrepancy
 from pianofit.result import Result
 from pianofit.result.cross_validation import cross_validate
-from pianofit.result.identifiability import velocity_assignment_warning
 from pianofit.result.prediction import predict_recording
+from pianofit.result.warnings import velocity_assignment_warning
+from pianofit.schema.fit import Minimum, VelocityDiscrepancyEntry, read_fit
+from pianofit.schema.notes import notes_of_minima
 from pianofit.setup import RecordingInfo, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
@@ -61,32 +63,32 @@ def test_a_fit_keeps_blas_to_one_thread_and_gives_back_what_the_caller_had():
 
 
 def test_every_recording_is_shown_with_its_own():
-    document = path_fit(SEVERAL).document
-    assert [row["file"] for row in document["recordings"]] == FILES
-    assert [row["first"] for row in document["recordings"]] == [False, False, True]
-    assert [row["v_H0_status"] for row in document["recordings"]] == ["fitted", "fitted", "given"]
-    assert document["parameters"]["v_H0"] == document["parameters"]["v_H0"] | {"value": 3.2, "status": "given"}
-    assert document["claims"].startswith("3 uncalibrated recordings of one key")
-    for row in document["recordings"]:
-        assert row["criterion"]["global"]["final"] < min(0.05, row["criterion"]["global"]["initial"])
-        assert row["levels"]["fitted_db"] < 0.2
-        assert row["gain_status"] == "fitted"
-    assert {document["parameters"][n]["status"] for n in ("K_H", "mu", "p", "M_H")} == {"fitted"}
+    found = path_fit(SEVERAL).fit
+    assert [row.file for row in found.recordings] == FILES
+    assert [row.is_reference for row in found.recordings] == [False, False, True]
+    assert [row.v_H0_status for row in found.recordings] == ["fitted", "fitted", "given"]
+    assert (found.parameters["v_H0"].value, found.parameters["v_H0"].status) == (3.2, "given")
+    assert found.identifiability_statement.startswith("3 uncalibrated recordings of one key")
+    for row in found.recordings:
+        assert row.criterion.bands["global"].final < min(0.05, row.criterion.bands["global"].initial)
+        assert row.levels.fitted_db < 0.2
+        assert row.gain_status == "fitted"
+    assert {found.parameters[n].status for n in ("K_H", "mu", "p", "M_H")} == {"fitted"}
 
 
 def test_the_order_of_files_changes_nothing():
     recordings, analyses = through(SEVERAL)
-    first = path_fit(SEVERAL).document
-    other = fit_recordings(recordings[::-1], analyses[::-1], strokes_of(SEVERAL)).document
-    velocities = [[row["v_H0"] for row in document["recordings"]] for document in (first, other)]
-    assert [t["file"] for t in other["recordings"]] == FILES[::-1]
+    first = path_fit(SEVERAL).fit
+    other = fit_recordings(recordings[::-1], analyses[::-1], strokes_of(SEVERAL)).fit
+    velocities = [[row.v_H0 for row in found.recordings] for found in (first, other)]
+    assert [t.file for t in other.recordings] == FILES[::-1]
     # The order of strokes changes the random samples of the search, which stops when F gains less than a thousandth.
     assert velocities[1] == pytest.approx(velocities[0][::-1], rel=2e-3)
-    for name, p in first["parameters"].items():
-        assert other["parameters"][name]["value"] == pytest.approx(p["value"], rel=2e-2 if name == "K_H" else 2e-3), (
+    for name, p in first.parameters.items():
+        assert other.parameters[name].value == pytest.approx(p.value, rel=2e-2 if name == "K_H" else 2e-3), (
             name
         )
-    assert other["diagnostics"]["F"] == pytest.approx(first["diagnostics"]["F"], abs=0.05)
+    assert other.diagnostics.negative_log_posterior == pytest.approx(first.diagnostics.negative_log_posterior, abs=0.05)
 
 
 def test_known_velocities_are_kept():
@@ -152,22 +154,26 @@ def test_what_alike_strokes_leave_alike_is_known_of_a_path():
 
 def test_a_file_predicts_what_its_fit_predicts(tmp_path):
     result, analysis = without_the_middle(), through(SEVERAL)[1][1]
-    file = result.save(tmp_path / "fit", page=False) / "fit.json"
-    document = read_fit(file)
-    whole = predict_recording(result, analysis)
-    read = predict_recording(notes_of_minima(document, file), analysis, gains=relative_gains(document))
+    folder = result.save(tmp_path / "fit", page=False)
+    read, whole = Result.load(folder).predict(analysis), result.predict(analysis)
     assert (read.velocity, read.error_db) == pytest.approx((whole.velocity, whole.error_db), rel=1e-6)
-    one = document["minima"][0]
-    assert document["pickup"]["path"]["wander"] == one["path_wander"]
+
+    def discrepancies(*minima: Minimum) -> list[VelocityDiscrepancy | None]:
+        notes = notes_of_minima(replace(fit, minima=minima), folder, "fit.json")
+        return [note.path.velocity_discrepancy for _, note in notes]
+
+    fit = read_fit(folder / "fit.json")
+    (one, *_), path = fit.minima, fit.pickup.path
+    own = one.path_velocity_discrepancy
+    np.testing.assert_array_equal(path.velocity_discrepancy.db, own.db)
     # Each minimum has its own discrepancy, or none.
-    other = one | {"path_wander": one["path_wander"] | {"db": [[2.0] * len(one["path_db"])] * 2}}
-    two = notes_of_minima(document | {"minima": [one, other]}, file)
-    assert [note.path.velocity_discrepancy.db[0, 0] for _, note in two] == [one["path_wander"]["db"][0][0], 2.0]
-    del document["pickup"]["path"]["wander"], other["path_wander"]
-    without = notes_of_minima(document | {"minima": [other, other]}, file)
-    assert [note.path.velocity_discrepancy for _, note in without] == [None, None]
-    with pytest.raises(FitError, match=r"minima\[0\]\.path\.wander needs 1 to 256"):
-        notes_of_minima(document | {"minima": [other | {"path_wander": {"velocity": [1.0], "db": [[0.0]]}}] * 2}, file)
+    first, second = discrepancies(one, replace(one, path_velocity_discrepancy=replace(own, db=np.full_like(own.db, 2))))
+    assert (first.db[0, 0], second.db[0, 0]) == (own.db[0, 0], 2.0)
+    without = replace(one, path_velocity_discrepancy=None)
+    assert discrepancies(without, without) == [None, None]
+    one_partial = replace(one, path_velocity_discrepancy=VelocityDiscrepancyEntry(np.ones(1), np.zeros((1, 1))))
+    with pytest.raises(FitError, match=r"minima\[0\].*a level for every partial"):
+        discrepancies(one_partial, one_partial)
 
 
 def test_one_velocity_has_no_velocity_discrepancy():
@@ -179,20 +185,20 @@ def test_one_velocity_has_no_velocity_discrepancy():
 
 @pytest.mark.slow
 def test_cross_validation_beats_the_nearest_layer():
-    found, whole = cross_validate(through(SEVERAL)[0], setup=strokes_of(SEVERAL), f0=FIRST.f0)
-    assert whole.document["recordings"][0]["v_H0"] == pytest.approx(found["recordings"][0]["v_H0"])
-    assert [row["inner"] for row in found["recordings"]] == [False, True, False]
-    middle = found["recordings"][1]
-    assert middle["predicted_db"] == found["median_inner_db"] == found["worst_inner_db"]
-    assert middle["predicted_db"] < 0.5 * middle["nearest_db"]
-    assert found["recordings"][0]["blend_db"] is None
+    found = cross_validate(*through(SEVERAL)[0], setup=strokes_of(SEVERAL), f0=FIRST.f0)
+    assert found.result.fit.recordings[0].v_H0 == pytest.approx(found.recordings[0].v_H0)
+    assert [row.has_neighbours for row in found.recordings] == [False, True, False]
+    middle = found.recordings[1]
+    assert middle.predicted_db == found.median_inner_db == found.worst_inner_db
+    assert middle.predicted_db < 0.5 * middle.nearest_db
+    assert found.recordings[0].blend_db is None
 
 
 @pytest.mark.parametrize(("number", "named"), [(1, "1 recording"), (2, "2 recordings")])
 def test_too_few_recordings_to_leave_one_out(number, named):
     recordings, analyses = through(SEVERAL)
     with pytest.raises(FitError, match=named):
-        cross_validate(recordings[:number], analyses[:number], Setup())
+        cross_validate(*recordings[:number], analyses=analyses[:number])
 
 
 @pytest.mark.slow
@@ -203,10 +209,10 @@ def test_a_string_that_was_tenser_when_it_was_struck():
         replace(record(FIRST, seed=1), path="soft"),
         replace(record(hard, seed=2, glide_cents=6.0, glide_seconds=0.5), path="hard"),
     ]
-    found = fit_recordings(recordings, [analyse(r, f0=FIRST.f0) for r in recordings], setup_of(FIRST)).document
-    np.testing.assert_allclose([row["v_H0"] for row in found["recordings"]], [1.4, 4.0], rtol=3e-3)
-    assert found["parameters"]["M_H"]["value"] == pytest.approx(FIRST.hammer.M_H, rel=2e-3)
-    assert found["diagnostics"]["excess"]["level_db"] < 0.05
+    found = fit_recordings(recordings, [analyse(r, f0=FIRST.f0) for r in recordings], setup_of(FIRST)).fit
+    np.testing.assert_allclose([row.v_H0 for row in found.recordings], [1.4, 4.0], rtol=3e-3)
+    assert found.parameters["M_H"].value == pytest.approx(FIRST.hammer.M_H, rel=2e-3)
+    assert found.diagnostics.excess_sd.level_db < 0.05
 
 
 def test_recordings_that_do_not_belong_are_named():

@@ -51,24 +51,24 @@ def fit(case: str, by: str) -> Result:
 @pytest.mark.parametrize("by", ["brute-force", "model"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_truth_is_found_and_intervals_reach_it(case, by):
-    document = fit(case, by).document
+    document = fit(case, by).fit
     true = TRUE if case == "calibrated" else TRUE | {"v_H0": VELOCITIES[2]}
     found = standard_errors(document, true)
     assert set(found) == set(CASES[case])
     off = {name: error for name, (error, _) in found.items() if abs(error) > CASES[case][name]}
     assert not off
     assert not {name: z for name, (_, z) in found.items() if abs(z) > FAR}
-    assert document["converged"]
+    assert document.converged
 
 
 @pytest.mark.parametrize("by", ["brute-force", "model"])
 @pytest.mark.parametrize("case", ["several", "microphones"])
 def test_velocities_that_were_not_measured_are_found(case, by):
-    for row, (stroke, _) in zip(fit(case, by).document["recordings"], STROKES[case], strict=True):
-        error = np.log(row["v_H0"] / VELOCITIES[stroke])
+    for row, (stroke, _) in zip(fit(case, by).fit.recordings, STROKES[case], strict=True):
+        error = np.log(row.v_H0 / VELOCITIES[stroke])
         assert abs(error) < VELOCITY
-        if row["v_H0_status"] == "fitted":
-            low, high = row["v_H0_interval"]
+        if row.v_H0_status == "fitted":
+            low, high = row.v_H0_interval
             assert abs(error) < FAR * np.log(high / low) / 3.92
 
 
@@ -87,11 +87,11 @@ def test_velocities_that_were_not_measured_are_found(case, by):
 def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db):
     recordings = [load_recording(FOLDER / f"{name}.flac") for name in layers]
     result = fit_recordings(recordings, [analyse(r, note=note) for r in recordings])
-    for row in result.document["recordings"]:
-        assert row["levels"]["fitted_db"] < row["levels"]["initial_db"]
+    for row in result.fit.recordings:
+        assert row.levels.fitted_db < row.levels.initial_db
         # Only the total of eq. 19: one cent of pitch, which the fit ignores, dominates the narrow peaks of band 1.
-        assert row["criterion"]["global"]["final"] < row["criterion"]["global"]["initial"]
-    assert result.document["claims"]
+        assert row.criterion.bands["global"].final < row.criterion.bands["global"].initial
+    assert result.fit.identifiability_statement
     recording = load_recording(FOLDER / f"{left_out}.flac")
     analysis = analyse(recording, note=note)
     notes = list(zip(result.weights, (minimum[0] for minimum in result.minima_notes), strict=True))

@@ -9,10 +9,10 @@ import pytest
 from twin_cases import MICROPHONES, VELOCITIES, fit_recordings, path_fit, strokes_of, through
 
 from pianofit import Result
-from pianofit.cli.summary import cross_validation
+from pianofit.cli.fits import _left_out_table
 from pianofit.errors import FitError
 from pianofit.inference import build_problem
-from pianofit.result.cross_validation import cross_validate
+from pianofit.result.cross_validation import LeftOutRecording, cross_validate
 
 # Both microphones recorded stroke 1, through different output paths. The velocity of the last stroke was measured.
 
@@ -37,15 +37,15 @@ def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
 
 
 def test_the_shared_velocity_is_found_and_shown_alike():
-    rows = path_fit(MICROPHONES).document["recordings"]
-    np.testing.assert_allclose([row["v_H0"] for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
+    rows = path_fit(MICROPHONES).fit.recordings
+    np.testing.assert_allclose([row.v_H0 for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
     one, other = rows[1], rows[3]
     for name in ("v_H0", "v_H0_interval", "v_H0_status", "stroke"):
-        assert one[name] == other[name]
-    assert one["v_H0_interval"][0] < one["v_H0"] < one["v_H0_interval"][1]
-    assert [row["stroke"] for row in rows].count(one["stroke"]) == 2
-    assert one["group"] != other["group"]
-    assert one["levels"]["fitted_db"] < 0.2 > other["levels"]["fitted_db"]
+        assert getattr(one, name) == getattr(other, name)
+    assert one.v_H0_interval[0] < one.v_H0 < one.v_H0_interval[1]
+    assert [row.stroke for row in rows].count(one.stroke) == 2
+    assert one.path_group != other.path_group
+    assert one.levels.fitted_db < 0.2 > other.levels.fitted_db
 
 
 def test_every_microphone_has_a_path_of_its_own():
@@ -77,10 +77,17 @@ def test_every_microphone_is_read_back(tmp_path):
 
 def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     recordings, analyses = ([x[i] for i in (1, 3)] for x in through(MICROPHONES))
-    document = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).document
-    assert document["claims"].startswith("2 uncalibrated recordings do not determine")
-    assert {document["parameters"][n]["status"] for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
-    assert document["recordings"][0]["v_H0"] == document["recordings"][1]["v_H0"]
+    found = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).fit
+    assert found.identifiability_statement.startswith("2 uncalibrated recordings do not determine")
+    assert {found.parameters[n].status for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
+    assert found.recordings[0].v_H0 == found.recordings[1].v_H0
+
+
+def some_of(result: Result, which: list[int]) -> Result:
+    """A result with some of its recordings."""
+    records = tuple(result.fit.recordings[i] for i in which)
+    notes = tuple(tuple(own[i] for i in which) for own in result.minima_notes)
+    return replace(result, fit=replace(result.fit, recordings=records), recordings=(), minima_notes=notes)
 
 
 def with_fits(monkeypatch, of) -> None:
@@ -96,48 +103,42 @@ def test_leaving_a_recording_out_leaves_out_its_stroke(monkeypatch):
 
     def instead(some, *_, **__):
         fits.append([r.path for r in some])
-        return replace(
-            path_fit(MICROPHONES),
-            recordings=tuple(h for h in path_fit(MICROPHONES).recordings if h.recording.path in fits[-1]),
-            reference_index=0,
-        )
+        return some_of(path_fit(MICROPHONES), [i for i, r in enumerate(recordings) if r.path in fits[-1]])
 
     with_fits(monkeypatch, instead)
-    found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
+    found = cross_validate(*recordings, analyses=analyses, setup=strokes_of(MICROPHONES))
     everything = {f"{b}-{m}.wav" for b, m in MICROPHONES}
     assert [everything - set(files) for files in fits] == [
         set(), {"0-close.wav"}, {"1-close.wav", "1-room.wav"}, {"2-close.wav"},
     ]  # fmt: skip
-    rows = {row["file"]: row for row in found["recordings"]}
+    rows = {row.file: row for row in found.recordings}
     assert len(rows) == 4
     middle, lone = rows["1-close.wav"], rows["1-room.wav"]
-    assert [row["file"] for row in found["recordings"] if row["inner"]] == ["1-close.wav"]
-    assert middle["predicted_db"] == found["median_inner_db"] < 0.5 * middle["nearest_db"]
+    assert [row.file for row in found.recordings if row.has_neighbours] == ["1-close.wav"]
+    assert middle.predicted_db == found.median_inner_db < 0.5 * middle.nearest_db
     # The other microphone recorded no other stroke, so its path and its levels are unknown.
-    assert [lone[n] for n in ("predicted_v_H0", "predicted_db", "partials", "nearest_db", "blend_db")] == [None] * 5
-    (message,) = found["messages"]
+    assert lone == LeftOutRecording("1-room.wav", lone.v_H0, None, None, None, None, None, False)
+    (message,) = found.warnings
     assert "1-room.wav" in message
-    assert message in (printed := cross_validation(found))
+    assert message in (printed := _left_out_table(found))
     assert "  -        -      -" in printed
 
 
 def test_without_an_inner_recording_there_is_no_median(monkeypatch):
     """Three strokes, each at its own microphone, as in a setup with one group for each recording."""
     recordings, analyses = ([x[i] for i in range(3)] for x in through(MICROPHONES))
-    rows = [row | {"group": i} for i, row in enumerate(path_fit(MICROPHONES).document["recordings"][:3])]
-    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
-    fits = iter([whole, *[replace(whole, recordings=whole.recordings[:2])] * 3])
+    rows = tuple(replace(row, path_group=i) for i, row in enumerate(path_fit(MICROPHONES).fit.recordings[:3]))
+    whole = replace(path_fit(MICROPHONES), fit=replace(path_fit(MICROPHONES).fit, recordings=rows))
+    fits = iter([whole, *[some_of(whole, [0, 1])] * 3])
     with_fits(monkeypatch, lambda *_, **__: next(fits))
-    found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
-    assert [found["median_inner_db"], found["worst_inner_db"]] == [None, None]
-    assert len(found["messages"]) == 3
-    assert "median" not in cross_validation(found)
+    found = cross_validate(*recordings, analyses=analyses, setup=strokes_of(MICROPHONES))
+    assert (found.median_inner_db, found.worst_inner_db) == (None, None)
+    assert len(found.warnings) == 3
+    assert "median" not in _left_out_table(found)
 
 
 def test_too_few_strokes_to_leave_one_out(monkeypatch):
     recordings, analyses = ([x[i] for i in (1, 2, 3)] for x in through(MICROPHONES))
-    rows = [path_fit(MICROPHONES).document["recordings"][i] for i in (1, 2, 3)]
-    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
-    with_fits(monkeypatch, lambda *_, **__: whole)
+    with_fits(monkeypatch, lambda *_, **__: some_of(path_fit(MICROPHONES), [1, 2, 3]))
     with pytest.raises(FitError, match="3 recordings of 2 strokes"):
-        cross_validate(recordings, analyses, strokes_of(MICROPHONES))
+        cross_validate(*recordings, analyses=analyses, setup=strokes_of(MICROPHONES))

@@ -306,7 +306,6 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     rung = piano_of({midi: ringing_note(midi) for midi in piano.keys}, recorded=(60,))
     done = write_page(tmp_path / "rung.html", rung)
     assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
-    assert (done.keys, done.recorded) == (88, 1)
     assert done.knocks in (KnockEncoding(12_000, 8), KnockEncoding(8_000, 8))
     one = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)
     assert one[1] == KnockEncoding(44_100, 16)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from observed_cases import analysis
 
 import pianofit
-from pianofit.fit_file import relative_gains
 from pianofit.inference.priors import log_gain
 from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
 from pianofit.result.prediction import predict_recording
+from pianofit.schema.fit import Fit
 
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])
@@ -67,10 +69,9 @@ def test_gains_that_agree_answer_for_the_next():
 
 
 def test_gains_are_those_of_one_path():
-    rows = [
-        {"gain": 0.1, "group": 0, "first": False}, {"gain": -1.0, "group": 0, "first": True},
-        {"gain": 5.0, "group": 1}, {"gain": None, "group": 0}, {"gain": 50.0, "group": 1},
-    ]  # fmt: skip
-    assert relative_gains({"recordings": rows}) == pytest.approx((-20.0, 0.0))
-    assert relative_gains({"recordings": rows}, 2) == pytest.approx((0.0, 20.0))
-    assert relative_gains({}) == (0.0,)
+    table = [(0.1, 0, False), (-1.0, 0, True), (5.0, 1, False), (0.0, 0, False), (50.0, 1, False)]
+    rows = [SimpleNamespace(gain=gain, path_group=group, is_reference=first) for gain, group, first in table]
+    fit = SimpleNamespace(recordings=rows, reference_index=1)
+    assert Fit.relative_gains(fit) == pytest.approx((-20.0, 0.0))
+    assert Fit.relative_gains(fit, 2) == pytest.approx((0.0, 20.0))
+    assert Fit.relative_gains(fit, 3) == (0.0,)

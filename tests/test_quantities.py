@@ -16,7 +16,7 @@ from pianofit.errors import ParameterError
 from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
 from pianofit.parameters import Hammer, String
-from pianofit.result.uncertainty_format import latex_name, latex_unit
+from pianofit.io.uncertainty_format import latex_name, latex_unit
 
 
 def quantity(value: float, sd: float, **more) -> pianofit.Quantity:

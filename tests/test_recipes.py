@@ -22,7 +22,9 @@ from pianofit.inference import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
-from pianofit.result.identifiability import NOT_CONVERGED
+from pianofit.result.warnings import NOT_CONVERGED
+from pianofit.schema.decode import builtins_of
+from pianofit.schema.fit import Fit
 from pianofit.synthetic import demo_recording, setup_text
 
 FEW = 600
@@ -222,40 +224,42 @@ def test_a_note_without_a_third_band_uses_the_next():
 # --- statements of a result -------------------------------------------------------------------------------------------
 
 
-def fit(sound, found, given, **more: Any) -> dict:
-    return bensa2005.fit(sound, analysis=found, setup=given, **more).document
+def fit(sound, found, given, **more: Any) -> Fit:
+    return bensa2005.fit(sound, analysis=found, setup=given, **more).fit
 
 
-def document(given=None, **more: Any) -> dict:
+def fitted(given=None, **more: Any) -> Fit:
     return fit(recording(), analysis(), given or setup(), **more)
 
 
 def test_no_interval_is_claimed_and_that_is_said():
-    whole = json.loads(json.dumps(document(evaluations=FEW), allow_nan=False))
-    assert whole["recipe"] == "paper"
-    assert all(p["interval"] is None for p in whole["parameters"].values())
-    assert {p["status"] for p in whole["parameters"].values()} <= {"fitted", "given", "at-bound"}
-    assert (whole["invariants"], whole["minima"]) == ({}, [])
-    assert NO_INTERVALS in whole["messages"]
-    assert not any("intervals include" in message for message in whole["messages"])
-    assert whole["claims"] == OPENING["paper"]
+    whole = fitted(evaluations=FEW)
+    json.dumps(builtins_of(whole), allow_nan=False)
+    assert whole.recipe == "paper"
+    assert all(p.interval is None for p in whole.parameters.values())
+    assert {p.status for p in whole.parameters.values()} <= {"fitted", "given", "at-bound"}
+    assert not whole.invariants
+    assert not whole.minima
+    assert NO_INTERVALS in whole.warnings
+    assert not any("intervals include" in message for message in whole.warnings)
+    assert whole.identifiability_statement == OPENING["paper"]
     for name in FIT_NAMES:
-        assert whole["parameters"][name]["initial"] == setup().initial[name]
+        assert whole.parameters[name].initial == setup().initial[name]
 
 
 def test_a_search_that_stopped_is_said(monkeypatch):
     monkeypatch.setattr(searching, "ITERATIONS", 5)
-    whole = document(method="global")
-    assert not whole["converged"]
-    assert any(NOT_CONVERGED in message for message in whole["messages"])
+    whole = fitted(method="global")
+    assert not whole.converged
+    assert any(NOT_CONVERGED in message for message in whole.warnings)
 
 
 def test_values_at_a_bound_are_said():
-    whole = document(bounded(), evaluations=FEW)
-    bound = [name for name, p in whole["parameters"].items() if p["status"] == "at-bound"]
+    whole = fitted(bounded(), evaluations=FEW)
+    bound = [name for name, p in whole.parameters.items() if p.status == "at-bound"]
     assert set(bound) & set(bounded().bounds)
-    assert any(all(name in message for name in bound) for message in whole["messages"])
-    assert all(whole["parameters"][name]["status"] == "given" for name in bounded().fixed)
+    assert any(all(name in message for name in bound) for message in whole.warnings)
+    assert all(whole.parameters[name].status == "given" for name in bounded().fixed)
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
@@ -274,16 +278,16 @@ def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
     whole = fit(*uncalibrated(), evaluations=FEW)
-    states = {name: p["status"] for name, p in whole["parameters"].items()}
+    states = {name: p.status for name, p in whole.parameters.items()}
     assert all(states[name] == "not-identifiable" for name in ("K_H", "mu", "p"))
     assert states["v_H0"] == "assumed"
-    assert whole["claims"] == OPENING["paper"] + FELT_UNKNOWN
+    assert whole.identifiability_statement == OPENING["paper"] + FELT_UNKNOWN
 
 
 def test_a_band_without_partials_is_said():
     whole = fit(*of_four_partials(), pianofit.Setup(), evaluations=FEW)
-    assert whole["criterion"]["dropped"] == ["band3"]
-    assert any("band 3" in message for message in whole["messages"])
+    assert whole.criterion.excluded_bands == ("band3",)
+    assert any("band 3" in message for message in whole.warnings)
 
 
 # --- errors -----------------------------------------------------------------------------------------------------------
@@ -294,7 +298,7 @@ REFUSED = [("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global
 @pytest.mark.parametrize(("method", "evaluations", "named"), REFUSED)
 def test_a_fit_refuses_other_methods_and_evaluations(method, evaluations, named):
     with pytest.raises(ParameterError, match=named):
-        document(method=method, evaluations=evaluations)
+        fitted(method=method, evaluations=evaluations)
 
 
 def test_a_felt_with_memory_is_not_the_papers():
@@ -332,11 +336,11 @@ def test_the_command_line_from_end_to_end(tmp_path, capsys):
     command = ["fit", str(tmp_path / "synthetic.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     assert "No intervals" in capsys.readouterr().out
-    whole = json.loads((out / "fit.json").read_text())
-    assert whole["recipe"] == "paper"
-    assert whole["seed"] == 1
-    assert whole["diagnostics"]["evaluations"] >= FEW // 2
-    assert all(p["interval"] is None for p in whole["parameters"].values())
+    whole = pianofit.Result.load(out).fit
+    assert whole.recipe == "paper"
+    assert whole.seed == 1
+    assert whole.diagnostics.evaluations >= FEW // 2
+    assert all(p.interval is None for p in whole.parameters.values())
     assert "recipe “paper”" in (out / "report.html").read_text()
     note, _ = pianofit.load_note(out / "fit.json")
-    assert whole["parameters"]["K_H"]["value"] == note.hammer.K_H
+    assert whole.parameters["K_H"].value == note.hammer.K_H

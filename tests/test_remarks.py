@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from pianofit.analysis import beating_warning
-from pianofit.result.remarks import recording_warnings
+from pianofit.result.warnings import recording_warnings
 
 
 class Table:

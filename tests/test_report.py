@@ -62,7 +62,7 @@ from pianofit.schema.quantities import STATUSES, Quantity
 @pytest.fixture(autouse=True)
 def _drawn_once(monkeypatch):
     monkeypatch.setattr("pianofit.report.page.draw_figures", drawn_once)
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: None)
+    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
 
 
 def written(folder, fit=None, title="a.wav, F#2", **result: Any):
@@ -511,11 +511,10 @@ def test_page_allows_an_empty_modal_response(lost):
     levels = {"measured": np.linspace(-10.0, -40.0, 200), "string model": np.linspace(-10.0, -60.0, 200)}
     envelope = Envelope(1, 92.0, np.linspace(0.0, 3.0, 200), levels)
     empty = envelope._replace(time=lost(envelope.time), levels={name: lost(x) for name, x in levels.items()})
-    it = spectrograms_of(result)
-    lost_levels = it._replace(measured=lost(it.measured), fitted=lost(it.fitted))
+    time, frequency, measured, _ = spectrograms_of(result)
     with page_style():
         assert make_figure(draw_envelope, empty)
-        assert _draw_map(lost_levels, lost_levels.measured, "recorded", "viridis", span(lost_levels.measured), "dB")
+        assert _draw_map(time, frequency, lost(measured), "recorded", "viridis", span(lost(measured)), "dB")
 
 
 def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from report_cases import Page, drawn_in, drawn_once, example_content, example_fi
 from pianofit.felt import LAWS
 from pianofit.parameters import PARAMETERS
 from pianofit.report.drawing import COLOURS, FITTED, make_figure, page_style, svg
-from pianofit.report.equations import HAMMER, MODES, PATH, STRING, T60, equations, formula_html, symbols
+from pianofit.report.equations import HAMMER, MODES, PATH, STRING, equations, formula_html, symbols
 from pianofit.report.html import asset, picture
 from pianofit.report.page import report_bytes
 from pianofit.report.text import SYMBOLS
@@ -22,7 +22,7 @@ def html():
     fit = example_fit(modal_response=response_content())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pianofit.report.page.draw_figures", drawn_once)
-        patch.setattr("pianofit.report.page.strokes_of", lambda _: None)
+        patch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
         return report_bytes(example_result(fit, modes=True), "a.wav, F#2").decode()
 
 
@@ -98,17 +98,18 @@ def test_captions_name_no_colours(html):
 @pytest.mark.parametrize("law", LAWS)
 def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
     box = equations(example_fit(felt=law, modal_response=response_content()), LAWS[law].formula)
-    units = {row.symbol: row.unit for row in box["symbols"]}
+    units = {symbol: unit for symbol, _, unit in box["symbols"]}
     for name, parameter in LAWS[law].hammer_parameters.items():
         shown = units[SYMBOLS.get(name, name)]
         assert shown == ("" if parameter.unit == "1" else parameter.unit.replace("^p", "ᵖ"))
     for name, entry in (example_content()["parameters"] | example_content()["invariants"]).items():
         assert SYMBOLS.get(name, name) in units, entry
-    lines = [*LAWS[law].formula, *(one for line in (STRING, HAMMER, PATH, MODES, T60) for one in line.formulas)]
+    others = (formula for formulas in (PATH | MODES).values() for formula in formulas)
+    lines = [*LAWS[law].formula, *STRING, *HAMMER, *others]
     assert {symbol for formula in lines for symbol in symbols(formula)} <= {*units}
     assert units["κ"] == PARAMETERS["kappa"].unit
     assert len(units) == len(box["symbols"])
-    assert all(row.meaning for row in box["symbols"])
+    assert all(meaning for _, meaning, _ in box["symbols"])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -122,8 +123,7 @@ def test_a_felt_from_outside_keeps_its_own_meanings():
     fit = example_fit(felt="foam", parameters=example_content()["parameters"] | own)
     for formula in ((), (r"F = u^2 (1 + \frac{u}{s})",), ("F = 1 & <b>{",)):  # none, one, and another notation
         box = equations(fit, formula)
-        (row,) = [row for row in box["symbols"] if row.symbol == "s"]
-        assert (row.meaning, row.unit) == ("compression at which it has doubled", "m")
+        assert ("s", "compression at which it has doubled", "m") in box["symbols"]
     assert "1 &amp; &lt;b&gt;{" in box["lines"][2][1][0]
 
 

@@ -44,7 +44,7 @@ from pianofit.report.identifiability import (
     identifiability_sections,
     is_scale_open,
 )
-from pianofit.report.page import report_bytes, strokes_of
+from pianofit.report.page import _slider, report_bytes, strokes_of
 from pianofit.report.sound import make_clips
 from pianofit.report.static_law import StaticLaw, _loop, draw_felt, static_law
 from pianofit.result import RenderedFit, Result
@@ -111,7 +111,7 @@ def test_figure_of_identifiability_has_the_given_numbers():
 
 
 def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(monkeypatch):
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: STROKES()._replace(is_recorded_range=False))
+    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: (STROKES()[0], False))
     text = Page(written(example_fit())).text
     for part in ("Other recordings", "Levels of each recording", "Estimated output path", "left out", "softest"):
         assert part not in text
@@ -140,13 +140,13 @@ def test_hostile_names_of_takes_stay_text():
 
 
 def test_soft_stays_soft_on_the_slider_and_recordings_are_equally_loud():
-    result = example_result(fit_of_recordings())
+    result, (strokes, _) = example_result(fit_of_recordings()), STROKES()
     page = Page(report_bytes(result, "three recordings").decode())
     sounds, rate = sounds_of(page, "strokes")
     assert rate == 16000
-    gain = 10 ** (-1 / 20) / max(np.abs(x).max() for x in STROKES().sounds)
-    body = slice(0, len(STROKES().sounds[0]) - round(0.05 * rate))
-    for played, given in zip(sounds.values(), STROKES().sounds, strict=True):
+    gain = 10 ** (-1 / 20) / max(np.abs(x).max() for x in strokes.values())
+    body = slice(0, len(next(iter(strokes.values()))) - round(0.05 * rate))
+    for played, given in zip(sounds.values(), strokes.values(), strict=True):
         np.testing.assert_allclose(played[body], gain * given[body], atol=1.1 / 32768)
     pair, _ = sounds_of(page, "recording-2")
     assert list(pair) == ["original", "fitted"]
@@ -343,24 +343,23 @@ def test_a_fit_without_intervals_claims_no_band():
 
 def test_the_slider_ends_at_the_takes_and_plays_the_fitted_note():
     result = result_of(reference_index=2)
-    strokes = strokes_of(result)
-    assert strokes is not None
-    assert strokes.is_recorded_range
-    np.testing.assert_allclose(strokes.velocity[[0, 3, -1]], [0.75, 1.5, 3.0], rtol=1e-12)
-    assert strokes.first == 3
+    strokes, is_recorded_range = strokes_of(result)
+    velocities = [*strokes]
+    assert is_recorded_range
+    np.testing.assert_allclose([velocities[i] for i in (0, 3, -1)], [0.75, 1.5, 3.0], rtol=1e-12)
+    assert _slider(result)["first"] == 3
     for index, recording in ((0, 1), (3, 2), (-1, 0)):
-        played = strokes.sounds[index]
+        played = strokes[velocities[index]]
         assert len(played) == round(2.5 * RATE)
         np.testing.assert_allclose(played[:RATE], result.recordings[recording].fitted.samples, atol=1e-9)
-    power = [np.mean(sound**2) for sound in strokes.sounds]
+    power = [np.mean(sound**2) for sound in strokes.values()]
     assert np.all(np.diff(power) > 0)
 
 
 def test_one_take_is_played_from_half_to_twice_its_velocity():
-    strokes = strokes_of(result_of(velocities=(15.0,)))
-    assert strokes is not None
-    assert not strokes.is_recorded_range
-    np.testing.assert_allclose(strokes.velocity[[0, -1]], [7.5, 20.0], rtol=1e-12)  # no hammer is faster
+    strokes, is_recorded_range = strokes_of(result_of(velocities=(15.0,)))
+    assert not is_recorded_range
+    np.testing.assert_allclose([*strokes][:: len(strokes) - 1], [7.5, 20.0], rtol=1e-12)  # no hammer is faster
 
 
 def test_a_loop_reaches_the_largest_force_and_compression_of_its_stroke():

@@ -192,10 +192,10 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     for _ in range(20):  # until φ and w have converged
         moved = objective.step_nuisances(moved, 0.0)
     assert (objective.total(moved) - one.minima.nll[0]).mean() == pytest.approx(0.5, abs=0.15)
-    document = build_result(InferenceResult(low, one, 0, None)).document
-    assert document["parameters"]["K_H"]["status"] == "at-bound"
-    assert document["invariants"]["F/M_S"]["status"] in ("at-bound", "not-identifiable")
-    assert document["parameters"]["K_H"]["interval"] is None
+    fit = build_result(InferenceResult(low, one, 0, None)).fit
+    assert fit.parameters["K_H"].status == "at-bound"
+    assert fit.invariants["F/M_S"].status in ("at-bound", "not-identifiable")
+    assert fit.parameters["K_H"].interval is None
 
 
 def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
@@ -261,10 +261,10 @@ def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
     one, at = map_estimate(bounded), bounded.reference_velocity_index
     bound = low if HAMMER.v_H0 < low else high
     assert np.exp(one.theta[at]) == pytest.approx(bound, rel=1e-9)
-    document = build_result(InferenceResult(bounded, one, 0, None)).document
-    assert document["parameters"]["v_H0"]["status"] == "at-bound"
-    assert document["recordings"][0]["v_H0_status"] == "at-bound"
-    assert any("bound" in said and "v_H0" in said for said in document["messages"])
+    document = build_result(InferenceResult(bounded, one, 0, None)).fit
+    assert document.parameters["v_H0"].status == "at-bound"
+    assert document.recordings[0].v_H0_status == "at-bound"
+    assert any("bound" in said and "v_H0" in said for said in document.warnings)
 
 
 @pytest.mark.parametrize("seed", [0, 2])

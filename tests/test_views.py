@@ -88,17 +88,16 @@ def halves(intervals: dict[str, Interval], found: Estimate) -> dict[str, tuple[f
 
 
 def test_invariants_are_those_of_the_view():
-    """A ratio to a given value has the parameter's own interval; `interval_by` names the method of every other."""
-    document = build_result(InferenceResult(posed(), fitted(), 0, profiled())).document
-    table, invariants = document["parameters"], document["invariants"]
+    """A ratio to a given value has the parameter's own interval; `interval_method` names the method of every other."""
+    fit = build_result(InferenceResult(posed(), fitted(), 0, profiled())).fit
+    table, invariants = fit.parameters, fit.invariants
     for name, of, over in (("M_H/M_S", "M_H", "M_S"), ("x0/L", "x0", "L")):
-        if table[of]["interval"] is not None:
-            ends = np.array(table[of]["interval"]) / table[over]["value"]
-            np.testing.assert_allclose(invariants[name]["interval"], ends, rtol=1e-12)
-            assert invariants[name]["interval_by"] == "profile"
-    assert invariants["B"]["interval_by"] == "laplace"
-    reference = next(row for row in document["recordings"] if row["first"])
-    assert reference["v_H0_interval"] == table["v_H0"]["interval"]
+        if table[of].interval is not None:
+            ends = np.array(table[of].interval) / table[over].value
+            np.testing.assert_allclose(invariants[name].interval, ends, rtol=1e-12)
+            assert invariants[name].interval_method == "profile"
+    assert invariants["B"].interval_method == "laplace"
+    assert fit.reference.v_H0_interval == table["v_H0"].interval
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -122,7 +121,7 @@ def test_an_interval_ends_at_its_box_and_says_so():
     upper[i] = middle + 0.25 * (high - low)
     tight = replace(problem, parametrisation=replace(problem.parametrisation, upper=upper))
     mass = build_result(InferenceResult(tight, found, 0)).parameters["M_H"]
-    assert mass.interval_open == ("high",)
+    assert mass.interval_unbounded == ("high",)
     np.testing.assert_allclose(np.log(mass.interval), [low, upper[i]])
 
 
@@ -202,10 +201,10 @@ def test_open_ends_are_named():
 def test_a_fit_has_the_intervals_it_was_asked_for():
     result = fit(measured(), setup=setup(), intervals="profile")
     for name, interval in profiled().intervals.items():
-        diagnostics = result.document["parameters"][name]
-        assert diagnostics["interval_by"] == "profile"
-        np.testing.assert_allclose(diagnostics["interval"], [interval.low, interval.high], rtol=1e-3)
-    assert set(result.document["diagnostics"]["profile"]) == set(profiled().intervals)
+        quantity = result.parameters[name]
+        assert quantity.interval_method == "profile"
+        np.testing.assert_allclose(quantity.interval, [interval.low, interval.high], rtol=1e-3)
+    assert set(result.fit.diagnostics.profile) == set(profiled().intervals)
 
 
 # --- the density that is sampled --------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.result import Result, build_result
+from pianofit.schema.fit import Fit
 from pianofit.setup import RecordingInfo, Setup, setup_from_dict
 
 RATE = 48_000
@@ -111,18 +112,18 @@ def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:
     return fit_recordings([recording], [analyse(recording)], setup, seed=seed)
 
 
-def errors(document: dict, truth: Truth) -> dict[str, float]:
+def errors(fit: Fit, truth: Truth) -> dict[str, float]:
     """Relative errors of a calibrated fit; `felt` is the largest error of the force over compression."""
-    found = {name: document["parameters"][name]["value"] for name in FIT_NAMES}
+    found = {name: fit.parameters[name].value for name in FIT_NAMES}
     off = {name: abs(found[name] / truth.values[name] - 1) for name in ALLOWED}
-    u = np.linspace(0.2, 1.0, 33) * document["derived"]["max_compression_mm"] / 1e3
+    u = np.linspace(0.2, 1.0, 33) * fit.derived.max_compression_mm / 1e3
     force = found["K_H"] * u ** found["p"] / (truth.hammer.K_H * u**truth.hammer.p)
     return off | {"felt": float(np.abs(force - 1).max())}
 
 
-def misses(document: dict, truth: Truth) -> dict[str, float]:
+def misses(fit: Fit, truth: Truth) -> dict[str, float]:
     """Errors that are larger than allowed."""
-    return {name: x for name, x in errors(document, truth).items() if x > ALLOWED.get(name, FELT)}
+    return {name: x for name, x in errors(fit, truth).items() if x > ALLOWED.get(name, FELT)}
 
 
 # --- cases shared by all tests of whole fits --------------------------------------------------------------------------
@@ -214,13 +215,13 @@ def path_fit(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> R
     return fit_recordings(*through(strokes, by), strokes_of(strokes))
 
 
-def standard_errors(document: dict, truth: dict[str, float]) -> dict[str, tuple[float, float]]:
+def standard_errors(fit: Fit, truth: dict[str, float]) -> dict[str, tuple[float, float]]:
     """Relative error, and error in standard errors, of every fitted parameter by name."""
     found = {}
     for name, true in truth.items():
-        entry = document["parameters"][name]
-        if entry["status"] == "fitted":
-            low, high = entry["interval"]
-            error = math.log(entry["value"] / true)
+        quantity = fit.parameters[name]
+        if quantity.status == "fitted" and quantity.interval is not None:
+            low, high = quantity.interval
+            error = math.log(quantity.value / true)
             found[name] = math.expm1(error), error * 3.92 / math.log(high / low)
     return found

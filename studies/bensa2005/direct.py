@@ -14,7 +14,7 @@ from scipy.signal import find_peaks
 
 from pianofit.literature import preset
 from pianofit.model import Simulation, simulate
-from pianofit.report.build import spectrum_db
+from pianofit.report.figures import spectrum_db
 
 from .strokes import centroid
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pianofit.report.build import spectrum_db
 from pianofit.report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
+from pianofit.report.figures import spectrum_db
 
 from .claims import SPANS
 from .direct import ROUND_TRIP

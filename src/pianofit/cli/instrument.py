@@ -143,10 +143,10 @@ def page(
     info = {
         "file": str(out),
         "bytes": out.stat().st_size,
-        "keys": written.keys,
-        "recorded": written.recorded,
-        "guesses": {"between": written.between, "beyond": written.beyond},
-        "knocks": None if written.knocks is None else {"bits": written.knocks.bits, "rate": written.knocks.rate},
+        "keys": len(loaded.keys),
+        "recorded": len(loaded.recorded),
+        "guesses": dict(zip(("between", "beyond"), loaded.unrecorded_counts, strict=True)),
+        "knocks": None if written.knocks is None else written.knocks._asdict(),
         "layers": written.layers,
     }
     print_result(info, _page_summary(info, loaded.guesses), as_json)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,8 @@ from .laws import ENOUGH_KEYS, Law, fit_law
 __all__ = ["build_instrument", "fit_velocity_curve"]
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
-VALUE_STATES: tuple[ValueState, ...] = get_args(ValueState)
+# The state of a key is the first of these that any of its values has.
+WORST_FIRST: tuple[ValueState, ...] = ("outlier", "pulled", "fitted")
 # A value is pulled if the law moved it by more than this many of its own standard deviations.
 PULLED = 0.5
 # Standard deviations of the output path's law, dB: common to all keys, drift over the keyboard, single partials.
@@ -163,10 +164,9 @@ def _key(
     if j is None:
         state = "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated"
         return Key(note._replace(path=paths(midi)), state, values, is_interpolated=True)
-    own = keys[j].note
-    states = [column.state[j] for name, column in columns.items() if not LAW_QUANTITIES[name].keeps_fit]
-    state = max(states, key=VALUE_STATES.index)
-    return Key(note._replace(path=own.path, ringing=own.ringing), state, values, keys[j].summary)
+    own, states = keys[j].note, {columns[name].state[j] for name in columns if not LAW_QUANTITIES[name].keeps_fit}
+    worst: ValueState = next(state for state in WORST_FIRST if state in states)
+    return Key(note._replace(path=own.path, ringing=own.ringing), worst, values, keys[j].summary)
 
 
 def _value(name: str, column: _Column, i: int, j: int | None) -> Value:

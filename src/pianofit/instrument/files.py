@@ -71,7 +71,7 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
     """Return the content of the `instrument.json` of an instrument."""
     return InstrumentFile(
         name=instrument.name,
-        quantity=instrument.quantity,
+        quantity=instrument.quantity,  # pyright: ignore[reportArgumentType]
         velocity=instrument.velocity,
         laws=dict(instrument.laws),
         keys=tuple(

@@ -25,8 +25,6 @@ from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..schema.fit import DrawsFile
 
-__all__ = ["DRAWS_FILE", "Draws", "encode_draws", "read_draws"]
-
 DRAWS_FILE = "draws.npz"
 # Upper limits of the file in bytes and in arrays: 2000 draws of 16,000 observations, and more names than a fit has.
 LARGEST_DRAWS, MOST_ARRAYS = 2**28, 4096
@@ -76,21 +74,22 @@ class Draws(Mapping[str, np.ndarray]):
         OutputError
             If ArviZ is not installed.
         """
-        arviz = require_optional("arviz", "draws for ArviZ")
-        observed, constant, coords, dims = {}, {}, {}, {}
+        arviz = require_optional("arviz_base", "draws for ArviZ")
+        groups: dict[str, dict[str, np.ndarray]] = {
+            # A name in a tree of xarray must not contain a slash.
+            "posterior": {name.replace("/", " over "): values for name, values in self.entries.items()}
+        }
+        coords, dims = {}, {}
         for kind, data in self.observed.items():
             if not len(data.value):
                 continue
-            dimension = f"{kind}_observation"
-            coords[dimension] = np.arange(len(data.value))
             columns = {kind: data.value, f"{kind}_recording": data.recording, f"{kind}_partial": data.partial}
-            dims |= {name: [dimension] for name in columns}
-            observed[kind] = columns.pop(kind)
-            constant |= columns
-        groups = {"observed_data": observed, "constant_data": constant, "coords": coords, "dims": dims}
-        if observed:
-            groups["log_likelihood"] = {kind: self.log_likelihood[kind] for kind in observed}
-        return arviz.from_dict(posterior=self.entries, **(groups if observed else {}))
+            coords[f"{kind}_observation"] = np.arange(len(data.value))
+            dims |= {name: [f"{kind}_observation"] for name in columns}
+            groups.setdefault("observed_data", {})[kind] = columns.pop(kind)
+            groups.setdefault("log_likelihood", {})[kind] = self.log_likelihood[kind]
+            groups.setdefault("constant_data", {}).update(columns)
+        return arviz.from_dict(groups, coords=coords, dims=dims)
 
 
 def encode_draws(draws: Draws) -> bytes:

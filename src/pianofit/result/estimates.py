@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inference import InferenceResult, Interval, Posterior
+from ..inference import InferenceResult, InitialValues, Interval, Posterior
 from ..inference.parametrisation import LOG_ABSENT_LOSS
 from ..parameters import FIT_NAMES
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
-from .records import sizes
 from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
-
-__all__ = ["invariants", "parameters", "stroke_velocities"]
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
@@ -25,12 +22,8 @@ def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
     """The quantity with an interval; unchanged without one."""
     if interval is None:
         return quantity
-    return replace(
-        quantity,
-        interval=(interval.low, interval.high),
-        interval_method=interval.method,
-        interval_unbounded=interval.unbounded,
-    )
+    ends, unbounded = (interval.low, interval.high), interval.unbounded
+    return replace(quantity, interval=ends, interval_method=interval.method, interval_unbounded=unbounded)
 
 
 def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
@@ -45,9 +38,10 @@ def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
         quantity = Quantity(
             "v_H0", value, UNITS["v_H0"], None, status, meaning_of("v_H0"), note, float(np.exp(fit.initial_theta[at]))
         )
-        table.append(_with_interval(quantity, fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))))
-    reference = problem.reference_velocity_index - u.shared
-    table[reference] = _with_interval(table[reference], fit.alternative_interval("v_H0"))
+        interval = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
+        if at == problem.reference_velocity_index:
+            interval = fit.alternative_interval("v_H0") or interval
+        table.append(_with_interval(quantity, interval))
     return table
 
 
@@ -69,9 +63,9 @@ def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Qua
             note = "effective width: a raised cosine of this width acts like the unknown contact window"
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
-        interval = fit.alternative_interval(name) or fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
+        interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
         quantity = Quantity(name, value, unit, None, states[name], meaning, note, float(start.initial[name]))
-        table[name] = _with_interval(quantity, interval)
+        table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
     last = len(PARAMETER_ORDER)
     order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
     return Quantities.of([*(table[name] for name in order), *sizes(start)])
@@ -120,8 +114,9 @@ def _ratio(
     value = float(np.exp(fit.posterior.mean[0, at])) / divisor
     direction = np.eye(fit.problem.parametrisation.size)[at]
     quantity = _combined(name, fit.gauge_fixed, direction, value, unit, [states[of]])
-    scaled = None if other is None else replace(other, low=other.low / divisor, high=other.high / divisor)
-    return _with_interval(quantity, scaled)
+    if other is None:
+        return quantity
+    return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
 
 
 def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:
@@ -153,3 +148,19 @@ def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
             factors: list[Status] = [state, states[reference - shared]]
             table.append(_combined(name, fit.posterior, direction, value, "1", factors, Path(file).name))
     return table
+
+
+def fixed_quantity(name: str, value: float, status: Status) -> Quantity:
+    """A parameter that was not fitted."""
+    return Quantity(name, float(value), UNITS[name], None, status, meaning_of(name), initial=float(value))
+
+
+def sizes(start: InitialValues) -> list[Quantity]:
+    """String mass, string length, and the position of the pickup if it is on the string."""
+    g = start.geometry
+    table = [
+        fixed_quantity(name, value, "assumed" if key in start.assumed else "given")
+        for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
+    ]
+    on_string = start.quantity in ("velocity", "displacement")
+    return [*table, fixed_quantity("pickup", g.pickup, "given")] if on_string else table

@@ -7,6 +7,7 @@ entry, its value and what is expected.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from dataclasses import fields, is_dataclass
@@ -19,8 +20,6 @@ from msgspec import Meta
 from ..errors import FitError, PianofitError
 from ..io.files import json_text, printable, read_file, short_repr
 from ..io.number_format import LARGEST
-
-__all__ = ["Number", "builtins_of", "convert", "encode_json", "load_json"]
 
 T = TypeVar("T")
 # A finite number that can be squared without overflow.
@@ -76,13 +75,13 @@ def convert(data: Any, kind: type[T], where: str, hint: str, error: type[Pianofi
 
 
 def builtins_of(record: Any) -> Any:
-    """Return a record as dicts, lists, numbers and texts."""
-    return msgspec.to_builtins(record, enc_hook=_encode)
+    """Return a record as dicts, lists, numbers and texts, as a file has it."""
+    return json.loads(encode_json(record))
 
 
 def encode_json(record: Any) -> bytes:
     """Return a record as indented JSON without NaN."""
-    return json_text(builtins_of(record)).encode()
+    return json_text(msgspec.to_builtins(record, enc_hook=_encode)).encode()
 
 
 def _encode(value: Any) -> Any:

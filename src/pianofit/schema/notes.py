@@ -15,8 +15,6 @@ from ..model.simulate import check_geometry
 from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .fit import HINT, Fit, Minimum, NoteFile, PathEntry, RecordingFit, fit_path, read_note_file
 
-__all__ = ["initial_note", "load_note", "note_of", "notes_of_minima", "notes_of_recordings"]
-
 
 def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
     """Read the note of a `fit.json` at its best minimum, and the sample rate of its reference recording, Hz.
@@ -175,10 +173,10 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
     if which:
         velocities = fit.minima[which].velocities
         velocity = float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.hammer.v_H0)
+    c = float(note.string.c) * 2 ** min(stroke.pitch_offset_cents / 1200, 100.0)  # no larger, or it would overflow
     try:
-        c = float(note.string.c) * 2 ** (stroke.pitch_offset_cents / 1200)
         check({"v_H0": velocity, "c": c}, where)
-    except (OverflowError, ParameterError) as error:
+    except ParameterError as error:
         raise FitError(str(error)) from None
     own = note.with_velocity(velocity)._replace(string=note.string._replace(c=c), gain=stroke.gain)
     if stroke.path_group == reference.path_group:

@@ -30,14 +30,10 @@ PACKAGE = "pianofit.web"
 
 
 class PageSummary(NamedTuple):
-    """Contents of the written page."""
+    """Contents of the written page, in addition to the keys of the instrument."""
 
-    keys: int
-    recorded: int
-    between: int  # keys that are guesses, between recorded keys
-    beyond: int  # keys that are guesses, beyond the recorded range
     knocks: KnockEncoding | None  # encoding of knocks, if the instrument has any
-    layers: int  # recordings in the page
+    layers: int  # recordings
 
 
 def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> PageSummary:
@@ -51,7 +47,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
 
     Returns
     -------
-    The number of keys, recorded keys and recordings, and the encoding of the knocks.
+    The encoding of the knocks, and the number of recordings.
 
     Raises
     ------
@@ -66,12 +62,12 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     --------
     >>> from pianofit.instrument import load_instrument
     >>> from pianofit.web import write_page
-    >>> write_page("piano.html", load_instrument("batch", prefix="cp80")).recorded
-    2
+    >>> write_page("piano.html", load_instrument("batch", prefix="cp80"))
+    PageSummary(knocks=None, layers=0)
     """
     payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
     layers = recorded_layers(instrument) if recordings else {}
-    changed, recorded = len(instrument.changed), len(instrument.recorded)
+    changed = len(instrument.changed)
     by_hand = f"; {changed} {'was' if changed == 1 else 'were'} changed by hand" if changed else ""
     html.write_page(
         path,
@@ -82,12 +78,11 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
         title=instrument.name or "Piano",
         instrument=payload,
         modules={"engine": engine_source(), "worklet": script_source("worklet.js")},
-        recorded=recorded,
+        recorded=len(instrument.recorded),
         guesses=instrument.guesses + by_hand,
         layers=layers,
     )
-    count = sum(map(len, layers.values()))
-    return PageSummary(len(instrument.keys), recorded, *instrument.unrecorded_counts, knocks, count)
+    return PageSummary(knocks, sum(map(len, layers.values())))
 
 
 def engine_source() -> str:
