@@ -47,13 +47,14 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """Return module, attribute and scaling function by the first cell of the row in docs/fitting.md."""
     from pianofit.analysis import baseband_fit, inharmonicity, partials
     from pianofit.inference import (
-        marginal_curvature,
+        batched_model,
+        derivatives,
+        estimate,
         multistart,
+        objective,
         observation_tables,
         optimiser,
-        prescreen,
         priors,
-        refine,
     )
 
     def plain(value: Any, factor: float) -> Any:
@@ -101,12 +102,12 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`DECAY`, σ": (priors, "DECAY", median(0)),
         "`LAW_REACH`": (priors, "LAW_REACH", plain),
         "`HIGHEST`": (observation_tables, "HIGHEST_HZ", plain),
-        "`SAMPLES`": (prescreen, "SAMPLES", plain),
-        "`VELOCITIES`": (prescreen, "VELOCITIES", points),
-        "`FINE_VELOCITIES`": (prescreen, "FINE_VELOCITIES", points),
-        "`TAIL`": (prescreen, "TAIL", plain),
-        "`WIDE_EXCESS`": (prescreen, "WIDE_EXCESS", plain),
-        "`STEP_COARSENING`": (optimiser, "STEP_COARSENING", plain),
+        "`SAMPLES`": (multistart, "SAMPLES", plain),
+        "`VELOCITIES`": (multistart, "VELOCITIES", points),
+        "`FINE_VELOCITIES`": (multistart, "FINE_VELOCITIES", points),
+        "`TAIL`": (multistart, "TAIL", plain),
+        "`WIDE_EXCESS`": (multistart, "WIDE_EXCESS", plain),
+        "`STEP_COARSENING`": (batched_model, "STEP_COARSENING", plain),
         "`FIRST`": (multistart, "FIRST", plain),
         "`FIRST_STEPS`": (multistart, "FIRST_STEPS", plain),
         "`SECOND`": (multistart, "SECOND", plain),
@@ -120,13 +121,13 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`NEAR`": (multistart, "NEAR", plain),
         "`GOING`": (multistart, "GOING", plain),
         "`LONGEST_STEP`": (optimiser, "LONGEST_STEP", plain),
-        "`LONGEST_PHI`": (optimiser, "LONGEST_PHI", plain),
-        "`FINER`": (optimiser, "FINER", plain),
+        "`LONGEST_PHI`": (objective, "LONGEST_PHI", plain),
+        "`FINER`": (batched_model, "FINER", plain),
         "`CONVERGED`": (optimiser, "CONVERGED", plain),
-        "`HYPER_REACH`": (optimiser, "HYPER_REACH", plain),
-        "`NEGATIVE`": (marginal_curvature, "NEGATIVE", plain),
-        "`WITHIN`": (refine, "WITHIN", plain),
-        "`LEFT`": (refine, "LEFT", plain),
+        "`HYPER_REACH`": (objective, "HYPER_REACH", plain),
+        "`NEGATIVE`": (derivatives, "NEGATIVE", plain),
+        "`WITHIN`": (estimate, "WITHIN", plain),
+        "`LEFT`": (estimate, "LEFT", plain),
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
         "`LEVEL_FRAMES_SECONDS`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),
@@ -159,7 +160,6 @@ def panel() -> tuple[float, float]:
 def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...]) -> list[float]:
     """Return errors, dB, of the layers whose file names contain one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
-    from pianofit.fit_file import relative_gains
     from pianofit.inference import run_inference
     from pianofit.result import build_result
 
@@ -174,7 +174,7 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
         rest = [j for j in range(len(files)) if j != i]
         fit = build_result(run_inference([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
         notes = [(weight, parts[0]) for weight, parts in zip(fit.weights, fit.minima_notes, strict=True)]
-        errors.append(predict_recording(notes, analyses[i], gains=relative_gains(fit.document, 0)).error_db)
+        errors.append(predict_recording(notes, analyses[i], gains=fit.fit.relative_gains(0)).error_db)
     return errors
 
 

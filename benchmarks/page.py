@@ -104,7 +104,8 @@ def opened(runs: int) -> None:
 
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         path = Path(folder) / "piano.html"
-        done = write_page(path, rung_piano.piano(range(21, 109)))
+        piano = rung_piano.piano(range(21, 109))
+        done = write_page(path, piano)
         times, sizes = [], []
         for _ in range(runs):
             browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
@@ -113,7 +114,7 @@ def opened(runs: int) -> None:
             before = _renderer()
             page.goto(path.as_uri())
             times.append(page.evaluate(FIRST_SOUND))
-            page.wait_for_function(f"() => window.pianofitKeyboard.player.sent.size === {done.keys}", timeout=120_000)
+            page.wait_for_function(f"() => window.pianofitKeyboard.player.sent.size === {len(piano.keys)}", timeout=120_000)
             sizes.append(_renderer() - before)
             browser.close()
         print(f"{done}\n{path.stat().st_size / 1e6:.2f} MB; memory {max(sizes) / 2**20:.0f} MiB")

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pianofit.analysis import midi_to_note
-from pianofit.instrument import Instrument
-from pianofit.instrument.collect_fits import NAMES, key_observables
+from pianofit.instrument import Instrument, Key
+from pianofit.instrument.files import instrument_record
+from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities
 from pianofit.io.files import encode_wav
 from pianofit.literature import typical
 from pianofit.model.modal_response import ModalResponse, VelocityGain
@@ -23,6 +26,21 @@ from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
 from pianofit.model.output_path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
+from pianofit.schema.decode import builtins_of
+from pianofit.schema.fit import (
+    BandValue,
+    Criterion,
+    Derived,
+    Diagnostics,
+    Fit,
+    LevelErrors,
+    PartialLevels,
+    PathEntry,
+    Pickup,
+    RecordingFit,
+)
+from pianofit.schema.instrument import FitSummary
+from pianofit.schema.quantities import Quantities, Quantity
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
@@ -72,40 +90,65 @@ def rung(midi: int, partials: int = 10) -> Note:
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:
     """The whole instrument; MIDI velocity 64 is 1.3 m/s."""
-    return Instrument("twin", {midi: true_note(midi) for midi in keys}, velocity_at_64=1.3, velocity_slope=1.5)
+    return piano_of({midi: true_note(midi) for midi in keys})
+
+
+def piano_of(notes: Mapping[int, Note], recorded: Collection[int] = (), name: str = "twin") -> Instrument:
+    """An instrument of these notes with the default velocity curve."""
+    return Instrument(name, {m: Key(note, fit=FitSummary() if m in recorded else None) for m, note in notes.items()})
+
+
+def with_notes(piano: Instrument, notes: Mapping[int, Note]) -> Instrument:
+    """The instrument with these notes in place of its own, or in addition to them."""
+    keys = {midi: replace(piano.keys.get(midi, Key(note)), note=note) for midi, note in notes.items()}
+    return replace(piano, keys={**piano.keys, **keys})
+
+
+def notes_of(piano: Instrument) -> dict[int, Note]:
+    """The notes of all keys."""
+    return {midi: key.note for midi, key in piano.keys.items()}
+
+
+def document_of(piano: Instrument) -> dict[str, Any]:
+    """The content of the `instrument.json`."""
+    return json.loads(json.dumps(builtins_of(instrument_record(piano)), allow_nan=False))
 
 
 def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
     """The `fit.json` of a note, from a fit with these errors (standard deviations of logarithms)."""
     s, h, g = note.string, note.hammer, note.geometry
     values = s._asdict() | h._asdict() | {"x0": g.strike_position, "width": g.width, "M_S": g.mass, "L": g.length}
+    criterion = Criterion({"global": BandValue(0.2, 0.1)}, (), 30.0, ())
+    levels, one = LevelErrors(2.0, 1.2, None, 1), np.ones(1)
+    recordings = [
+        RecordingFit(
+            file=f"{v}.wav", sha256=str(i), channel="average", rate=RATE, onset_s=0.1, v_H0=v, v_H0_interval=None,
+            v_H0_status="scaled", v_H0_initial=None, note=None, gain=note.gain, gain_status="fitted",
+            is_reference=v == velocities[-1], pitch_offset_cents=0.0, path_group=0, stroke=i, criterion=criterion,
+            levels=levels, partials=PartialLevels(one, one, one, one, one),
+        )
+        for i, v in enumerate(velocities)
+    ]  # fmt: skip
+    path = None if note.path is None else PathEntry(note.path.frequency, note.path.db)
+    fit = Fit(
+        recipe="default", seed=0, converged=True, identifiability_statement="", warnings=(), invariants=Quantities({}),
+        parameters=Quantities.of(quantity(name, value, errors.get(name)) for name, value in values.items()),
+        recordings=tuple(recordings), minima=(), pickup=Pickup(note.quantity, path), levels=levels, criterion=criterion,
+        derived=Derived(1.0, 1e-4, 1.0, 1.0, (), 1.0, 1.0, 1.0, 0.0, ()), diagnostics=Diagnostics(1, 1),
+    )  # fmt: skip
+    return builtins_of(fit)
 
-    def entry(name: str, value: float) -> dict:
-        sd = errors.get(name)
-        span = None if sd is None else [value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd)]
-        status = "scaled" if name in ("v_H0", "K_H", "mu") else "fitted"
-        return {"value": float(value), "unit": "", "interval": span, "status": status, "note": ""}
 
-    path = note.path
-    return {
-        "schema": 4, "program": "pianofit", "converged": True, "claims": "", "messages": [], "invariants": {},
-        "minima": [],
-        "parameters": {name: entry(name, value) for name, value in values.items()},
-        "recordings": [
-            {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": note.gain, "first": v == velocities[-1],
-             "gain_status": "fitted", "v_H0_status": "scaled"} for v in velocities
-        ],
-        "pickup": {"quantity": note.quantity,
-                   "path": None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}},
-        "derived": {}, "levels": {"fitted_db": 1.2}, "diagnostics": {},
-    }  # fmt: skip
+def quantity(name: str, value: float, sd: float | None) -> Quantity:
+    """A parameter with this standard deviation of its logarithm."""
+    interval = None if sd is None else (value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd))
+    return Quantity(name, float(value), "", interval, "scaled" if name in ("v_H0", "K_H", "mu") else "fitted")
 
 
 def force_entry(note: Note, at: float, sd: float) -> dict:
     """The entry of such a fit for the felt force at the compression `at`, m."""
     value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
-    span = [value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd)] if sd else None
-    return {"value": value, "unit": "N/kg", "interval": span, "note": ""}
+    return Quantities.of([quantity("F/M_S", value, sd or None)]).to_builtins()["F/M_S"]
 
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
@@ -154,19 +197,17 @@ def record_key(
 
 
 def truth(name: str, keys: list[int]) -> np.ndarray:
-    """True values of one quantity of `NAMES` [keys], on the scale of its law."""
-    assert name in NAMES
-    values = np.array([key_observables(true_note(midi), midi)[name] for midi in keys])
-    return values if name == "cents" else np.log(values)
+    """True values of one of the `LAW_QUANTITIES` [keys], on the scale of its law."""
+    return LAW_QUANTITIES[name].scaled([key_quantities(true_note(midi), midi)[name] for midi in keys])
 
 
-def law_errors(document: dict, names: Iterable[str], keys: list[int]) -> dict[str, tuple[float, float]]:
+def law_errors(piano: Instrument, names: Iterable[str], keys: list[int]) -> dict[str, tuple[float, float]]:
     """(rms error of the law, of the literature) over the keys; logarithms, cents for the tuning."""
     found = {}
     for name in names:
-        law = document["laws"][name]
-        rows = [np.array(law[column])[np.array(keys) - 21] for column in ("value", "literature")]
-        scaled = [row if name == "cents" else np.log(row) for row in rows]
+        law = piano.laws[name]
+        assert law.literature is not None
+        scaled = [LAW_QUANTITIES[name].scaled(row[np.array(keys) - 21]) for row in (law.value, law.literature)]
         rms = [float(np.sqrt(np.mean((row - truth(name, keys)) ** 2))) for row in scaled]
         found[name] = (rms[0], rms[1])
     return found

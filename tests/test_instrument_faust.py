@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from instrument_cases import rung, true_instrument, true_note
+from instrument_cases import piano_of, rung, true_instrument, true_note
 from typer.testing import CliRunner
 
 from pianofit.cli import app
@@ -36,7 +36,7 @@ def piano() -> Instrument:
     part = VelocityGain(np.array([1.0]), one.ringing.velocity_gain.factor[1:])
     one = one._replace(ringing=one.ringing._replace(velocity_gain=part).without_knock())
     notes = {OWN: short, ONE: one, LAW: true_note(LAW)}
-    return Instrument('a "piano"\n', notes, 1.3, 1.5, frozenset({OWN, ONE}))
+    return piano_of(notes, recorded=(OWN, ONE), name='a "piano"\n')
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_every_partial_has_renders_level(program, player, key, velocity):
 
 def test_strokes_beyond_those_known_are_beyond(program):
     """The preceding test relies on velocities outside the measured strokes."""
-    ringing = piano().notes[OWN].ringing
+    ringing = piano().keys[OWN].note.ringing
     assert ringing is not None
     assert ringing.velocity_gain is not None
     slowest, fastest = ringing.velocity_gain.velocity[[0, -1]]

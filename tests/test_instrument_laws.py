@@ -11,18 +11,17 @@ import pytest
 from instrument_cases import ERRORS, fit_document, force_entry, library, true_note, truth, write_fit
 
 from pianofit.errors import FitError
-from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
-from pianofit.instrument.build import to_parameters
-from pianofit.instrument.collect_fits import (
-    LOUDEST_VELOCITY,
-    NAMES,
-    instrument_name,
-    key_observables,
+from pianofit.instrument import Instrument, build_instrument, find_fits, instrument_name, load_keys
+from pianofit.instrument.build import fit_velocity_curve
+from pianofit.instrument.collect_fits import LOUDEST_VELOCITY
+from pianofit.instrument.key_quantities import (
+    LAW_QUANTITIES,
+    key_quantities,
     literature,
+    note_from_quantities,
     reference_compression,
 )
 from pianofit.instrument.laws import Prior, fit_law
-from pianofit.instrument.velocity import hammer_velocity, velocity_map
 
 KEYS = list(range(24, 100, 3))
 ALL = list(range(21, 109))
@@ -30,25 +29,21 @@ MEASURED = ("B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L")
 
 
 @pytest.fixture(scope="module")
-def piano(tmp_path_factory) -> dict:
+def piano(tmp_path_factory) -> Instrument:
     folder = library(tmp_path_factory.mktemp("library"), KEYS)
     return build_instrument(load_keys(find_fits([folder])), "twin")
-
-
-def scale(name: str, values: list[float]) -> np.ndarray:
-    return np.asarray(values) if name == "cents" else np.log(values)
 
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_a_law_is_the_truth_within_its_intervals(piano, name):
     """Its error over all keys except the outermost, most of them never recorded, is below that of a single fit."""
-    law, inside = piano["laws"][name], slice(3, 79)
-    error = (scale(name, law["value"]) - truth(name, ALL))[inside]
-    sd = ((scale(name, law["high"]) - scale(name, law["low"])) / (2 * 1.959964))[inside]
+    law, inside, scaled = piano.laws[name], slice(3, 79), LAW_QUANTITIES[name].scaled
+    error = (scaled(law.value) - truth(name, ALL))[inside]
+    sd = ((scaled(law.high) - scaled(law.low)) / (2 * 1.959964))[inside]
     single = {"B": 0.01, "b1": 0.1, "d2": 0.1, "M_H/M_S": 0.03, "K/M_S": 0.1, "p": 0.04, "mu": 0.2, "x0/L": 0.005}
     assert np.sqrt(np.mean(error**2)) < 0.75 * single[name]
     assert np.abs(error / sd).max() < 4
-    assert not law["outliers"]
+    assert not law.outliers
 
 
 @pytest.mark.parametrize(
@@ -62,24 +57,26 @@ def test_an_instrument_is_named_where_a_folder_names_a_key(folder, name):
 
 def test_keys_are_nearer_to_the_truth_than_their_fits(piano):
     for name in ("b1", "d2", "p", "mu"):
-        entry = [piano["keys"][midi - 21]["told"][name] for midi in KEYS]
+        entries = [piano.keys[midi].values[name] for midi in KEYS]
         true = np.exp(truth(name, KEYS))
-        own, value = (np.log([t[key] for t in entry] / true) for key in ("own", "value"))
+        own, value = (np.log(row / true) for row in np.transpose([(x.own_fit.value, x.value) for x in entries]))
         assert np.sqrt(np.mean(value**2)) < 0.6 * np.sqrt(np.mean(own**2)), name
 
 
 def test_a_key_keeps_its_own_pitch(piano):
     for midi in KEYS:
-        entry = piano["keys"][midi - 21]["told"]["cents"]
-        assert entry["value"] == entry["own"]
-    between = [piano["keys"][midi - 21]["told"]["cents"]["value"] for midi in ALL]
+        entry = piano.keys[midi].values["cents"]
+        assert entry.value == entry.own_fit.value
+    between = [piano.keys[midi].values["cents"].value for midi in ALL]
     assert np.abs(between - truth("cents", ALL))[3:79].max() < 1.0
 
 
 def test_every_key_can_be_played_and_says_where_it_comes_from(piano):
-    instrument = read_instrument(json.loads(json.dumps(piano, allow_nan=False)))
-    assert sorted(instrument.notes) == ALL
-    states = [key["state"] for key in piano["keys"]]
+    assert [*piano.keys] == ALL
+    assert all(
+        np.isfinite([*key.note.string, *key.note.hammer, *key.note.geometry]).all() for key in piano.keys.values()
+    )
+    states = [key.state for key in piano.keys.values()]
     assert states[0] == states[-1] == "extrapolated"
     assert {states[midi - 21] for midi in KEYS} <= {"fitted", "pulled"}
     assert {states[m - 21] for m in range(24, 99) if m not in KEYS} == {"interpolated"}
@@ -96,14 +93,14 @@ def test_bad_keys_are_named_and_play_the_law(tmp_path):
         write_fit(folder, midi, fit_document(note._replace(string=string, hammer=hammer), ERRORS))
     piano = build_instrument(load_keys(find_fits([folder])))
     for name in ("b1", "M_H/M_S"):
-        assert piano["laws"][name]["outliers"] == ["D#2", "F#2", "C6"]
+        assert piano.laws[name].outliers == ("D#2", "F#2", "C6")
         for midi in wrong.values():
-            entry = piano["keys"][midi - 21]["told"][name]
-            assert entry["state"] == "outlier"
-            assert entry["value"] == pytest.approx(math.exp(truth(name, [midi])[0]), rel=0.15)
-    assert not any(piano["laws"][name]["outliers"] for name in NAMES if name not in ("b1", "M_H/M_S"))
-    assert sum("D#2" in message for message in piano["messages"]) == 2
-    assert [key["note"] for key in piano["keys"] if key["state"] == "outlier"] == ["D#2", "F#2", "C6"]
+            entry = piano.keys[midi].values[name]
+            assert entry.own_fit.state == "outlier"
+            assert entry.value == pytest.approx(math.exp(truth(name, [midi])[0]), rel=0.15)
+    assert not any(law.outliers for name, law in piano.laws.items() if name not in ("b1", "M_H/M_S"))
+    assert sum("D#2" in warning for warning in piano.warnings) == 2
+    assert [midi for midi, key in piano.keys.items() if key.state == "outlier"] == [39, 42, 84]
 
 
 def test_a_wide_interval_is_drawn_in_and_a_narrow_one_stays(tmp_path):
@@ -113,23 +110,22 @@ def test_a_wide_interval_is_drawn_in_and_a_narrow_one_stays(tmp_path):
         off = note._replace(string=note.string._replace(b1=note.string.b1 * factor))
         write_fit(folder, midi, fit_document(off, ERRORS | {"b1": sd}))
     piano = build_instrument(load_keys(find_fits([folder])))
-    wide, narrow = (piano["keys"][midi - 21]["told"]["b1"] for midi in (48, 60))
-    assert wide["state"] == "pulled"
-    assert abs(math.log(wide["value"] / math.exp(truth("b1", [48])[0]))) < 0.1
-    assert narrow["state"] != "pulled"
-    assert narrow["value"] == pytest.approx(narrow["own"], rel=0.02)
+    wide, narrow = (piano.keys[midi].values["b1"] for midi in (48, 60))
+    assert wide.own_fit.state == "pulled"
+    assert abs(math.log(wide.value / math.exp(truth("b1", [48])[0]))) < 0.1
+    assert narrow.own_fit.state != "pulled"
+    assert narrow.value == pytest.approx(narrow.own_fit.value, rel=0.02)
 
 
 def test_one_key_shifts_the_literature(tmp_path):
     folder = library(tmp_path, [60], errors=dict.fromkeys(ERRORS, 1e-3))
     piano = build_instrument(load_keys(find_fits([folder])))
-    read_instrument(piano)
     for name in ("B", "b1", "M_H/M_S"):
-        law, own = piano["laws"][name], math.exp(truth(name, [60])[0])
+        law, own = piano.laws[name], math.exp(truth(name, [60])[0])
         shift = math.log(own / literature(60)[name])
-        assert math.log(law["value"][39] / own) == pytest.approx(0, abs=0.05)
-        assert math.log(law["value"][63 - 21] / literature(63)[name]) == pytest.approx(shift, rel=0.1, abs=0.02)
-    assert "1 key" in piano["messages"][-1]
+        assert math.log(law.value[39] / own) == pytest.approx(0, abs=0.05)
+        assert math.log(law.value[63 - 21] / literature(63)[name]) == pytest.approx(shift, rel=0.1, abs=0.02)
+    assert "1 key" in piano.warnings[-1]
 
 
 def test_a_law_without_error_passes_through_its_keys():
@@ -183,12 +179,11 @@ def test_the_scatter_between_keys_is_found():
 def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
         note = true_note(midi)
-        values = key_observables(note, midi)
-        string, hammer, geometry, gain = to_parameters(midi, values, "pressure")
-        assert string == pytest.approx(note.string, rel=1e-12)
-        assert hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
-        assert geometry == pytest.approx(note.geometry, rel=1e-12)
-        assert gain == pytest.approx(note.gain)
+        back = note_from_quantities(key_quantities(note, midi), midi, "pressure")
+        assert back.string == pytest.approx(note.string, rel=1e-12)
+        assert back.hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
+        assert back.geometry == pytest.approx(note.geometry, rel=1e-12)
+        assert back.gain == pytest.approx(note.gain)
 
 
 def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
@@ -203,7 +198,7 @@ def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
         write_fit(tmp_path, 60, fit_document(scaled, ERRORS, (1.7, 6.8)), "b"),
     ]
     first, second = (load_keys([file])[0] for file in files)
-    assert first.velocities == pytest.approx(second.velocities) == (1.0, LOUDEST_VELOCITY)
+    assert first.summary.velocities == pytest.approx(second.summary.velocities) == (1.0, LOUDEST_VELOCITY)
     assert first.note.hammer == pytest.approx(second.note.hammer, rel=1e-9)
     assert first.note.gain == pytest.approx(second.note.gain, rel=1e-9)
 
@@ -232,32 +227,32 @@ def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, 
     for row in document["recordings"]:
         row |= {"v_H0_status": "fitted", known: "given"}
     (key,) = load_keys([write_fit(tmp_path, 60, document)])
-    assert key.velocities == (1.0, 3.0)  # given velocities are not rescaled
+    assert key.summary.velocities == (1.0, 3.0)  # given velocities are not rescaled
     assert key.sd["K/M_S"] == pytest.approx(spread[near], rel=1e-6)
 
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):
     document = fit_document(true_note(60), ERRORS, (1.0, 4.0))
-    soft, loud = (row | {"group": 0, "stroke": i} for i, row in enumerate(document["recordings"]))
-    soft, loud = soft | {"first": True}, loud | {"first": False}
-    room = [row | {"group": 1, "gain": 50.0, "first": False} for row in (soft, loud)]
+    soft, loud = document["recordings"]
+    soft, loud = soft | {"is_reference": True}, loud | {"is_reference": False}
+    room = [row | {"path_group": 1, "gain": 50.0, "is_reference": False} for row in (soft, loud)]
     one, both = (
         load_keys([write_fit(tmp_path, 60, document | {"recordings": rows}, name)])[0]
         for name, rows in (("one", [soft, loud]), ("both", [*room, soft, loud]))
     )
-    assert both.velocities == one.velocities == (1.0, LOUDEST_VELOCITY)
+    assert both.summary.velocities == one.summary.velocities == (1.0, LOUDEST_VELOCITY)
     assert both.note.gain == one.note.gain
 
 
 def test_midi_velocities_rise_with_the_layers():
-    law = velocity_map([(0.5, 1.0, 2.0, 4.0), (0.6, 1.1, 2.2, 4.0)])
-    velocity = [hammer_velocity(v, law["at_64"], law["rise"]) for v in range(1, 128)]
+    curve = fit_velocity_curve([(0.5, 1.0, 2.0, 4.0), (0.6, 1.1, 2.2, 4.0)])
+    velocity = [curve.at(v) for v in range(1, 128)]
     assert all(np.diff(velocity) > 0)
     assert velocity[110] == pytest.approx(4.0, rel=0.15)
     assert velocity[15] == pytest.approx(0.55, rel=0.2)
-    assert velocity_map([(4.0,)])["from"] == "default"
-    # The law rises even if the layers do not.
-    assert velocity_map([(1.0, 1.0, 1.0)])["rise"] > 0
+    assert fit_velocity_curve([(4.0,)]).source == "default"
+    # The curve rises even if the layers do not.
+    assert fit_velocity_curve([(1.0, 1.0, 1.0)]).rise > 0
 
 
 def test_what_is_no_library_is_refused(tmp_path):
@@ -286,7 +281,7 @@ def test_a_piano_out_of_tune_keeps_its_keys(tmp_path):
     flat = note._replace(string=note.string._replace(c=note.string.c * 2 ** (-80 / 1200)))
     key = load_keys([write_fit(tmp_path, 60, fit_document(flat, ERRORS))])[0]
     assert key.midi == 60
-    assert key_observables(key.note, 60)["cents"] == pytest.approx(-80, abs=1)
+    assert key_quantities(key.note, 60)["cents"] == pytest.approx(-80, abs=1)
     bare = tmp_path / "fit.json"
     bare.write_text(json.dumps(fit_document(flat, ERRORS)))
     assert load_keys([Path(bare)])[0].midi == 59

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from instrument_cases import true_instrument, true_note, uneven_note
+from instrument_cases import notes_of, piano_of, true_instrument, true_note, uneven_note, with_notes
 
 from pianofit.errors import FitError, ParameterError
-from pianofit.instrument import Instrument
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.model import simulate
 from pianofit.model.modal_response import ModalResponse
@@ -34,7 +34,7 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool],
 
 def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
     """A song far below the threshold of the limiter, 12 s."""
-    quiet = PIANO._replace(notes={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.notes.items()})
+    quiet = with_notes(PIANO, {m: v._replace(gain=1e-2 * v.gain) for m, v in notes_of(PIANO).items()})
     done = render_song(quiet, song(*notes, pedal=pedal), RATE)
     assert done.gain_db == done.limited_db == 0
     assert len(done.samples) == 1
@@ -145,9 +145,9 @@ def test_a_damper_adds_its_rate_to_every_mode(kind):
 
 
 def test_one_channel_is_heard_in_both_and_strokes_stay_together():
-    piano = Instrument("", {45: rung_note(45), 60: uneven_note(60)}, velocity_at_64=1.3, velocity_slope=1.5)
+    piano = piano_of({45: rung_note(45), 60: uneven_note(60)})
     both = render_song(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE).samples
-    one, two = (render_song(piano._replace(notes={m: piano.notes[m]}), song(x), RATE).samples
+    one, two = (render_song(replace(piano, keys={m: piano.keys[m]}), song(x), RATE).samples
                 for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip
     assert (len(both), len(one), len(two)) == (2, 2, 1)
     lead = round(piano.pre_onset_s * RATE)
@@ -243,6 +243,6 @@ def test_what_cannot_be_played_is_refused():
     with pytest.raises(ParameterError, match="694 s"):
         render_song(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
     stuck = true_note(60)
-    stuck = PIANO._replace(notes={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
+    stuck = piano_of({60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
     with pytest.raises(FitError, match=r"key 60: .*v_H0="):
         render_song(stuck, song((0.0, 1.0, 60, 1)), RATE)

@@ -9,17 +9,18 @@ import mido
 import numpy as np
 import pytest
 import soundfile
-from instrument_cases import ERRORS, PARTS, RATE, fit_document, rung, true_note, write_fit
+from instrument_cases import ERRORS, PARTS, RATE, document_of, fit_document, rung, true_note, write_fit
 from typer.testing import CliRunner
 
 from pianofit.cli import app
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
-from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
+from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
 from pianofit.instrument.interpolate_keys import REACH, interpolate_keys
-from pianofit.modal_response_file import encode_knock, modal_response_document
 from pianofit.model.modal_response import force_pulse
 from pianofit.model.modes import mode_frequencies
+from pianofit.schema.decode import builtins_of
+from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry, encode_knock
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,8 @@ def folder(tmp_path_factory):
     """Fits of D3, with a modal response, and of G5, without."""
     place = tmp_path_factory.mktemp("fits")
     note = rung(50)
-    file = write_fit(place, 50, fit_document(note, ERRORS) | {"ringing": modal_response_document(note.ringing)})
+    fitted = builtins_of(FittedModalResponse(response=ModalResponseEntry.of(note.ringing)))
+    file = write_fit(place, 50, fit_document(note, ERRORS) | {"modal_response": fitted})
     (file.parent / "knock.flac").write_bytes(encode_knock(note.ringing))
     write_fit(place, 79, fit_document(true_note(79), ERRORS))
     return place
@@ -35,24 +37,38 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def document(folder):
-    return json.loads(json.dumps(build_instrument(load_keys(find_fits([folder])), "twin")))
+    return document_of(build_instrument(load_keys(find_fits([folder])), "twin"))
 
 
-def test_a_recorded_key_sounds_as_its_fit(folder, document):
+@pytest.fixture(scope="module")
+def file(document, tmp_path_factory):
+    path = tmp_path_factory.mktemp("built") / "instrument.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_a_recorded_key_sounds_as_its_fit(folder, file):
     """To the quantisation of a 16-bit knock, at any velocity: the laws do not change the force of its modes."""
-    fit = load_keys(find_fits([folder]))[0].note
-    played = read_instrument(document).notes[50]
+    fit, own = load_keys(find_fits([folder]))[0].note, load_instrument(folder).keys[50].note
+    played = load_instrument(file).keys[50].note
     for velocity in (0.5, 4.0):
+        expected, sound = (x.render(velocity, seconds=1.0, mono=False) for x in (fit, own))
+        assert np.abs(sound - expected).max() < 1e-9 * np.abs(expected).max()
         expected, sound = (x.render(velocity, seconds=1.0, mono=False) for x in (fit, played))
         assert np.abs(sound - expected).max() < 1e-4 * np.abs(expected).max()
         assert np.abs(sound - expected)[:, RATE // 2 :].max() < 1e-9 * np.abs(expected).max()
 
 
-def test_keys_within_reach_borrow_and_others_ring_by_their_law(document):
-    notes = read_instrument(document).notes
-    assert {m for m, note in notes.items() if note.ringing is not None} == {*range(50 - REACH, 50 + REACH + 1)}
-    assert notes[79].ringing is None
-    assert notes[51].pre_onset_s > 0
+def test_keys_within_reach_borrow_and_others_ring_by_their_law(folder, file):
+    built, read = (load_instrument(path).keys for path in (folder, file))
+    for keys in (built, read):
+        within = {*range(50 - REACH, 50 + REACH + 1)}
+        assert {midi for midi, key in keys.items() if key.note.ringing is not None} == within
+        assert keys[79].note.ringing is None
+        assert keys[51].note.pre_onset_s > 0
+    own, again = built[52].note.ringing, read[52].note.ringing
+    assert own.pole == pytest.approx(again.pole, rel=1e-12)
+    assert own.pattern == pytest.approx(again.pattern, rel=1e-12)
 
 
 def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
@@ -88,31 +104,32 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
 
 
 BAD = {
-    "modes": ({"modes": 1}, "ringing needs"),
-    "uneven": ({"modes": {"partial": [1]}}, "ringing needs"),
+    "modes": ({"modes": 1}, r"modal_response\.modes = 1 must be a table"),
+    "uneven": ({"modes": {"partial": [1]}}, r"modal_response\.modes\.frequency is missing"),
     "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "base64"),
     "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "FLAC"),
     "truncated": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),
-    "text": ({"knock": {"flac": 7, "scale": 1.0}}, "base64"),
+    "text": ({"knock": {"flac": 7, "scale": 1.0}}, r"modal_response\.knock\.flac = 7 must be a text"),
     "scale": ({"knock": {"flac": "", "scale": None}}, "knock.scale"),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_hostile_ringing_is_refused(name, document):
+def test_a_hostile_ringing_is_refused(name, document, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     change, message = BAD[name]
     bad = copy.deepcopy(document)
-    bad["keys"][50 - 21]["ringing"] |= change
+    bad["keys"][50 - 21]["modal_response"] |= change
+    (tmp_path / "bad.json").write_text(json.dumps(bad))
     with pytest.raises(FitError, match=message) as caught:
-        read_instrument(bad, "bad.json")
+        load_instrument("bad.json")
     assert str(caught.value).startswith("bad.json: ")
 
 
-def test_a_song_is_written_in_as_many_channels(document, tmp_path):
-    (tmp_path / "i.json").write_text(json.dumps(document))
+def test_a_song_is_written_in_as_many_channels(file, tmp_path):
     track = mido.MidiTrack([mido.Message("note_on", note=50, velocity=80), mido.Message("note_off", note=50, time=480)])
     mido.MidiFile(tracks=[track]).save(tmp_path / "a.mid")
-    words = ["play", tmp_path / "i.json", tmp_path / "a.mid", "--out", tmp_path / "a.wav", "--json"]
+    words = ["play", file, tmp_path / "a.mid", "--out", tmp_path / "a.wav", "--json"]
     done = CliRunner().invoke(app, [str(word) for word in words])
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["channels"] == 2
@@ -121,11 +138,11 @@ def test_a_song_is_written_in_as_many_channels(document, tmp_path):
     assert np.abs(sound[:, 0] - sound[:, 1]).max() > 0.1 * np.abs(sound).max()
 
 
-def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(document, tmp_path):
+def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(file, tmp_path):
     """Each sample is the stroke shifted by whole samples, the soft one to earlier. A player plays both channels."""
     from pysfizz import Synth
 
-    piano = read_instrument(document)
+    piano = load_instrument(file)
     export_sampler(piano, tmp_path / "out", [50, 79], ExportOptions(2, 0.3, RATE, "wav"))
     shifts, first = [], round(0.1 * RATE)
     for velocity in (1, 127):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +18,7 @@ from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler, parse_keys
 from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
-from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
-from pianofit.instrument.velocity import hammer_velocity
+from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback.voice import damper_rate
 from pianofit.result.comparison import fractional_lag
@@ -36,8 +34,7 @@ PIANO = true_instrument()
 def piano(tmp_path_factory) -> Path:
     """An instrument whose keys have errors so small that it plays their fits."""
     folder = library(tmp_path_factory.mktemp("library"), [28, 40, 55, 67, 79], errors=dict.fromkeys(ERRORS, 1e-5))
-    document = build_instrument(load_keys(find_fits([folder])), "a #piano/..")
-    (folder / "instrument.json").write_text(json.dumps(document))
+    write_instrument(folder / "instrument.json", build_instrument(load_keys(find_fits([folder])), "a #piano/.."))
     return folder
 
 
@@ -78,12 +75,11 @@ def levels(sound: np.ndarray, midi: int) -> np.ndarray:
 
 def test_a_player_plays_what_render_does(piano, player, tmp_path):
     """Partials within 60 dB of the strongest agree with `pianofit render` of the fit of the key, with one gain."""
-    document = json.loads((piano / "instrument.json").read_text())["velocity"]
-    gains = []
+    curve, gains = load_instrument(piano / "instrument.json").velocity, []
     for midi in KEYS:
         for velocity in (layer_velocities(LAYERS)[3], 127):
             out = tmp_path / f"{midi}-{velocity}.wav"
-            v = hammer_velocity(velocity, document["at_64"], document["rise"])
+            v = curve.at(velocity)
             fit = piano / "keys" / f"twin-{midi_to_note(midi).replace('#', 's')}" / "fit.json"
             assert main(["render", str(fit), "--velocity", repr(v), "--out", str(out), "--seconds", "1.5",
                          "--rate", str(RATE)]) == 0  # fmt: skip

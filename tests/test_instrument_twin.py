@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from instrument_cases import law_errors, record_key
 
 from pianofit.analysis import midi_to_note
 from pianofit.fitting import fit
-from pianofit.instrument import build_instrument, find_fits, load_keys
+from pianofit.instrument import Instrument, build_instrument, find_fits, load_keys
 
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)
 BETWEEN = list(range(RECORDED[0], RECORDED[-1] + 1))
@@ -20,7 +19,7 @@ ALLOWED = {"cents": 0.1, "B": 0.01, "b1": 0.02, "d2": 0.03, "M_H/M_S": 0.02, "K/
            "x0/L": 0.005}  # fmt: skip
 
 
-def fit_library(folder: Path) -> dict[str, Any]:
+def fit_library(folder: Path) -> Instrument:
     """Record and fit every key, and build the instrument."""
     random = np.random.default_rng(1)
     for midi in RECORDED:

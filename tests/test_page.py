@@ -4,26 +4,36 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import ERRORS, fit_document, library, true_instrument, true_note, uneven_note, write_fit
+from instrument_cases import (
+    ERRORS,
+    fit_document,
+    library,
+    piano_of,
+    true_instrument,
+    true_note,
+    uneven_note,
+    write_fit,
+)
 from page_cases import BLOCK, RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import RelaxingHammer
-from pianofit.fit_file import load_note
-from pianofit.instrument.document import read_instrument
-from pianofit.io.files import json_text
+from pianofit.instrument import Instrument, write_instrument
 from pianofit.model.modal_response import VelocityGain
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback import Song, render_song
 from pianofit.playback.voice import StringVoice, damper_rate
+from pianofit.schema.instrument import Value
+from pianofit.schema.notes import load_note
 from pianofit.web import write_page
-from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, intervals
+from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, slider_intervals
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -134,10 +144,9 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
 
     With an output path the dampers of the page are approximate, because the gain is that at the pole of the free mode.
     """
-    whole = true_instrument((45, 52, 60, 64))
-    notes = {k: n._replace(gain=1e-3) for k, n in whole.notes.items()}
+    notes = {k: true_note(k)._replace(gain=1e-3) for k in (45, 52, 60, 64)}
     notes |= {k: uneven_note(k)._replace(gain=1.0, ringing=ringing_note(k).ringing) for k in (52, 64)}
-    piano, random, at = whole._replace(notes=notes), np.random.default_rng(3), BLOCK / RATE
+    piano, random, at = piano_of(notes), np.random.default_rng(3), BLOCK / RATE
     keys = {k: [] for k in notes}
     events = [[0, "setPedal", False], [500, "setPedal", True], [900, "setPedal", False]]
     for key, found in keys.items():
@@ -158,7 +167,7 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
 def test_a_damper_through_a_path_is_nearly_the_players():
     """In the page a mode keeps the gain of its free decay. The path of `render_song` filters the damped sound."""
     note, at, end = uneven_note(52), BLOCK / RATE, 150
-    piano = true_instrument((52,))._replace(notes={52: note})
+    piano = piano_of({52: note})
     song = Song({52: [(0.0, 90), (end * at, 0)]}, [], 400 * at, 52)
     expected = render_song(piano, song, RATE).samples
     events = [[0, "noteOn", 52, piano.note(52, 90).hammer.v_H0], [end, "noteOff", 52]]
@@ -210,7 +219,7 @@ def test_a_changed_key_is_the_changed_note():
 
 def saved(entry: dict, folder: Path, **more: object) -> Path:
     """Save a key of the page as note.json."""
-    about = {"velocity": 2.5, "rate": RATE, "claims": "A note."}
+    about = {"velocity": 2.5, "rate": RATE, "origin": "A note."}
     (folder / "note.json").write_bytes(run([{"keys": {60: entry}, "note": about, **more}])[0][0])
     return folder / "note.json"
 
@@ -251,26 +260,26 @@ def test_a_knock_in_a_note_is_checked(tmp_path):
     file = saved(encode_note(ringing_note(60), 60), tmp_path)
     document = json.loads(file.read_text())
     for knock in ("no base64", "AAAA"):
-        document["ringing"]["knock"]["wav"] = knock
+        document["modal_response"]["response"]["knock"]["wav"] = knock
         file.write_text(json.dumps(document))
-        with pytest.raises(FitError, match=r"ringing\.knock\.wav"):
+        with pytest.raises(FitError, match=r"modal_response\.knock\.wav"):
             load_note(file)
 
 
 def test_the_sliders_have_the_intervals_of_the_instrument():
-    laws = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
-    assert intervals(laws) == {
-        "force": [0.5, 2.0],
-        "p": pytest.approx([-0.1, 0.2]),
-        "inharmonicity": pytest.approx([0.9, 1.2]),
+    values = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
+    assert slider_intervals({name: Value(x, (low, high)) for name, (x, low, high) in values.items()}) == {
+        "force": (0.5, 2.0),
+        "p": pytest.approx((-0.1, 0.2)),
+        "inharmonicity": pytest.approx((0.9, 1.2)),
     }
-    even = {"b1": (0.3, 0.3 / 1.5, 0.3 * 1.5), "d2": (0.3, 0.3 / 1.5, 0.3 * 1.5)}
-    assert intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))  # two equal errors add in quadrature
-    piano = read_instrument(document() | {"keys": [row | {"told": {"mu": {"value": 0.2, "interval": [0.1, 0.4]},
-        "p": {"value": "x", "interval": [1, 2]}, "B": {"value": 1, "interval": None}, "q": 3}}
-        for row in document()["keys"]]})  # fmt: skip
-    assert piano.values[60] == {"mu": (0.2, 0.1, 0.4)}
-    assert encode_instrument(piano, 1_000_000)[0]["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
+    even = dict.fromkeys(("b1", "d2"), Value(0.3, (0.3 / 1.5, 0.3 * 1.5)))
+    # Two equal errors add in quadrature.
+    assert slider_intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))
+    keys = {midi: replace(key, values={"mu": Value(0.2, (0.1, 0.4))}) for midi, key in two_keys().keys.items()}
+    payload, _ = encode_instrument(replace(two_keys(), keys=keys), 1_000_000)
+    assert payload["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
+    assert payload["keys"][1]["values"] == {"mu": [0.2, 0.1, 0.4]}
 
 
 def test_changes_of_the_string_move_measured_partials_with_it():
@@ -294,12 +303,11 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     law = write_page(tmp_path / "law.html", piano)
     assert law.knocks is None
     assert (tmp_path / "law.html").stat().st_size < 500_000
-    rung = piano._replace(notes={midi: ringing_note(midi) for midi in piano.notes}, recorded=frozenset([60]))
+    rung = piano_of({midi: ringing_note(midi) for midi in piano.keys}, recorded=(60,))
     done = write_page(tmp_path / "rung.html", rung)
     assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
-    assert (done.keys, done.recorded) == (88, 1)
     assert done.knocks in (KnockEncoding(12_000, 8), KnockEncoding(8_000, 8))
-    one = encode_instrument(rung._replace(notes={60: rung.notes[60]}), 1_000_000)
+    one = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)
     assert one[1] == KnockEncoding(44_100, 16)
     with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
         encode_instrument(rung, 100_000)
@@ -323,16 +331,9 @@ def test_a_felt_that_the_page_does_not_know_is_refused():
         encode_note(note._replace(hammer=RelaxingHammer(*note.hammer, 0.3, 1e-4)), 60)
 
 
-def document() -> dict:
+def two_keys() -> Instrument:
     """An instrument of two keys, the lower recorded."""
-    rows = []
-    for midi in (59, 60):
-        n = true_note(midi)
-        row = {"midi": midi, "string": n.string._asdict(), "hammer": n.hammer._asdict(), "gain": n.gain,
-               "geometry": n.geometry._asdict(), "path": None, "fit": {} if midi == 59 else None}  # fmt: skip
-        rows.append(row)
-    return {"schema": 2, "kind": "instrument", "name": "</script><b>", "quantity": "pressure", "keys": rows,
-            "velocity": {"at_64": 1.3, "rise": 1.5}}  # fmt: skip
+    return piano_of({midi: true_note(midi) for midi in (59, 60)}, recorded=(59,), name="</script><b>")
 
 
 def test_a_batchs_folder_becomes_a_page_that_counts_its_guesses(tmp_path, capsys):
@@ -362,7 +363,7 @@ def test_a_batchs_folder_becomes_a_page_that_counts_its_guesses(tmp_path, capsys
 
 
 def test_an_instrument_in_a_folder_is_taken_as_it_is(tmp_path, capsys):
-    (tmp_path / "instrument.json").write_text(json_text(document()))
+    write_instrument(tmp_path / "instrument.json", two_keys())
     assert main(["page", str(tmp_path)]) == 0
     assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
     assert main(["page", str(tmp_path), "--prefix", "cp80"]) == 1
@@ -370,9 +371,8 @@ def test_an_instrument_in_a_folder_is_taken_as_it_is(tmp_path, capsys):
 
 
 def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
-    assert read_instrument(document()).recorded == {59}
     built, out = tmp_path / "instrument.json", tmp_path / "piano.html"
-    built.write_text(json_text(document()))
+    write_instrument(built, two_keys())
     assert main(["page", str(built), "--out", str(out)]) == 0
     assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
     html = out.read_text()

@@ -5,17 +5,19 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import true_instrument, uneven_note
+from instrument_cases import notes_of, piano_of, true_instrument, uneven_note
 from page_cases import ringing_note
 
-from pianofit.fit_file import load_note
 from pianofit.instrument import load_instrument
 from pianofit.playback import load_song
+from pianofit.schema.instrument import Value
+from pianofit.schema.notes import load_note
 from pianofit.web import write_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -51,11 +53,11 @@ def browser():
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    piano = true_instrument(range(48, 73))
-    notes = piano.notes | {60: uneven_note(60), 64: ringing_note(64)}
+    notes = notes_of(true_instrument(range(48, 73))) | {60: uneven_note(60), 64: ringing_note(64)}
+    piano = piano_of(notes, recorded=(60, 64), name="</script>'\"")
     path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
-    told = {60: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}}
-    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64]), values=told))
+    values = {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.0, (1.9, 2.2))}
+    write_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
     return path
 
 
@@ -213,7 +215,7 @@ def test_a_slider_shows_the_interval_where_it_is_known(page):
     }"""
     assert page.evaluate(shown, "mass") == pytest.approx([0.25, 0.75], abs=0.01)  # 1/2 and 2 of 1/4 to 4
     assert page.evaluate(shown, "p") == pytest.approx([0.45, 0.6], abs=0.01)
-    mass = 1e3 * true_instrument(range(60, 61)).notes[60].hammer.M_H
+    mass = 1e3 * true_instrument(range(60, 61)).keys[60].note.hammer.M_H
     words = page.locator("label", has=page.locator("#change-mass")).locator("small").inner_text()
     assert [float(x) for x in words.removeprefix("95 %: ").removesuffix(" g").split(" to ")] == pytest.approx(
         [0.5 * mass, 2 * mass], rel=5e-3
@@ -239,8 +241,8 @@ def test_a_key_is_saved_as_a_note_that_render_reads(page, tmp_path):
     assert own.ringing is not None
     assert note.ringing is not None
     np.testing.assert_array_equal(note.ringing.number, own.ringing.number)
-    claims = json.loads((tmp_path / "note.json").read_text())["claims"]
-    assert claims.startswith("E4 of </script>'\", recorded, as the page plays it, changed by hand.")
+    origin = json.loads((tmp_path / "note.json").read_text())["origin"]
+    assert origin.startswith("E4 of </script>'\", recorded, as the page plays it, changed by hand.")
 
 
 def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
@@ -260,12 +262,12 @@ def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
     found, own = load_instrument(tmp_path / "instrument.json"), true_instrument(range(48, 73))
     assert found.name == "</script>'\""
     assert found.changed == [64]
-    assert found.recorded == {60, 64}
-    assert pytest.approx(4 * own.notes[64].hammer.M_H) == found.notes[64].hammer.M_H
-    assert found.notes[62].hammer.M_H == own.notes[62].hammer.M_H
-    gains = [found.notes[midi].gain / own.notes[midi].gain for midi in (50, 62)]
+    assert found.recorded == [60, 64]
+    assert pytest.approx(4 * own.keys[64].note.hammer.M_H) == found.keys[64].note.hammer.M_H
+    assert found.keys[62].note.hammer.M_H == own.keys[62].note.hammer.M_H
+    gains = [found.keys[midi].note.gain / own.keys[midi].note.gain for midi in (50, 62)]
     assert gains == pytest.approx([10**1.5] * 2)
-    assert found.values[60] == {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}
+    assert found.keys[60].values == {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.0, (1.9, 2.2))}
 
 
 DROP = """([name, bytes]) => {

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from instrument_cases import true_instrument, uneven_note
+from instrument_cases import piano_of, uneven_note
 from page_cases import RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
-from pianofit.instrument import Instrument, load_instrument, read_instrument
-from pianofit.instrument.document import LARGEST_FILE
+from pianofit.instrument import Instrument, load_instrument
 from pianofit.playback import load_song
 from pianofit.playback.midi import read_song
+from pianofit.schema.instrument import LARGEST_INSTRUMENT, Value
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
 from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_page
 
@@ -33,10 +34,11 @@ CHANGES = {
 def piano() -> Instrument:
     """Three keys: one rings by its modes, one by its law, and one was never recorded."""
     notes = {52: ringing_note(52), 60: uneven_note(60), 64: ringing_note(64)}
-    told = {key: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.5, 2.4, 2.7)} for key in notes}
-    return true_instrument(range(52, 53))._replace(
-        notes=notes, recorded=frozenset([52, 60]), values=told, states={52: "pulled", 64: "interpolated"}
-    )
+    values = {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.5, (2.4, 2.7))}
+    states = {52: "pulled", 64: "interpolated"}
+    bare = piano_of(notes, recorded=(52, 60))
+    keys = {midi: replace(key, values=values, state=states.get(midi)) for midi, key in bare.keys.items()}
+    return replace(bare, keys=keys)
 
 
 def saved(instrument: Instrument, changes: dict[int, dict[str, float]], volume: float = VOLUME) -> bytes:
@@ -45,37 +47,40 @@ def saved(instrument: Instrument, changes: dict[int, dict[str, float]], volume: 
     return run([{"instrument": document, "changes": changes, "volume": volume}])[0][0]
 
 
-def test_a_saved_instrument_sounds_as_the_page_plays_it():
-    own, changed = piano(), read_instrument(json.loads(saved(piano(), CHANGES)))
+def read_saved(data: bytes, folder: Path) -> Instrument:
+    (folder / "instrument.json").write_bytes(data)
+    return load_instrument(folder)
+
+
+def test_a_saved_instrument_sounds_as_the_page_plays_it(tmp_path):
+    own, changed = piano(), read_saved(saved(piano(), CHANGES), tmp_path)
     events = [[0, "noteOn", 60, 2.5]]
-    for midi, note in own.notes.items():
-        entry = encode_note(note, midi)
+    for midi, key in own.keys.items():
+        entry = encode_note(key.note, midi)
         (sound,) = play([{"keys": {60: entry}, "changes": CHANGES[midi], "events": events, "blocks": BLOCKS}])
-        expected = changed.notes[midi].render(2.5, seconds=1.0, rate=RATE, mono=False)
-        assert error_db(VOLUME * sound[:, early(note) :], expected) < WITHIN
+        expected = changed.keys[midi].note.render(2.5, seconds=1.0, rate=RATE, mono=False)
+        assert error_db(VOLUME * sound[:, early(key.note) :], expected) < WITHIN
     again, _ = encode_instrument(changed, PAGE_BYTES)  # a page of what a page saved
     rows = {row["midi"]: row for row in again["keys"]}
     (sound,) = play([{"keys": {60: rows[52]}, "events": events, "blocks": BLOCKS}])
-    expected = changed.notes[52].render(2.5, seconds=1.0, rate=RATE, mono=False)
-    assert error_db(sound[:, early(own.notes[52]) :], expected) < WITHIN
+    expected = changed.keys[52].note.render(2.5, seconds=1.0, rate=RATE, mono=False)
+    assert error_db(sound[:, early(own.keys[52].note) :], expected) < WITHIN
 
 
-def test_a_saved_instrument_says_which_keys_were_changed():
+def test_a_saved_instrument_says_which_keys_were_changed(tmp_path):
     """A slider that is back where it was changes nothing. A changed value loses the interval of the fitted one."""
-    document = json.loads(saved(piano(), CHANGES, volume=1.0))
-    found = read_instrument(document)
+    found = read_saved(saved(piano(), CHANGES, volume=1.0), tmp_path)
     assert found.changed == [52, 60]
-    assert found.states == {52: "changed", 60: "changed", 64: "interpolated"}
-    assert found.recorded == {52, 60}
-    assert (found.name, found.velocity_at_64, found.velocity_slope) == ("twin", 1.3, 1.5)
-    assert {midi: set(values) for midi, values in found.values.items()} == {
-        52: {"p"}, 60: {"p"}, 64: {"M_H/M_S", "p"}
-    }  # fmt: skip
-    assert found.values[64]["p"] == (2.5, 2.4, 2.7)
-    changes = {row["midi"]: row["changes"] for row in document["keys"]}
+    assert {midi: key.state for midi, key in found.keys.items()} == {52: "changed", 60: "changed", 64: "interpolated"}
+    assert found.recorded == [52, 60]
+    assert (found.name, found.velocity.at_64, found.velocity.rise) == ("twin", 1.3, 1.5)
+    values = {midi: set(key.values) for midi, key in found.keys.items()}
+    assert values == {52: {"p"}, 60: {"p"}, 64: {"M_H/M_S", "p"}}
+    assert found.keys[64].values["p"] == Value(2.5, (2.4, 2.7))
+    changes = {midi: key.changes for midi, key in found.keys.items()}
     assert changes == {52: {k: x for k, x in CHANGES[52].items() if k != "p"}, 60: CHANGES[60], 64: None}
-    assert not any("volume" in words for words in document["messages"])
-    assert found.notes[64].hammer.M_H == ringing_note(64).hammer.M_H
+    assert not any("volume" in warning for warning in found.warnings)
+    assert found.keys[64].note.hammer.M_H == ringing_note(64).hammer.M_H
 
 
 def test_every_command_takes_a_saved_instrument(tmp_path, capsys):
@@ -92,13 +97,11 @@ def test_every_command_takes_a_saved_instrument(tmp_path, capsys):
     capsys.readouterr()
 
 
-def test_a_whole_page_is_saved_within_what_is_read():
+def test_a_whole_page_is_saved_within_what_is_read(tmp_path):
     """Knocks take four times as much as on the page, which has whole numbers."""
-    whole = true_instrument()
-    whole = whole._replace(notes={midi: ringing_note(midi) for midi in whole.notes})
-    text = saved(whole, {})
-    assert PAGE_BYTES < len(text) < LARGEST_FILE
-    assert len(read_instrument(json.loads(text)).notes) == 88
+    text = saved(piano_of({midi: ringing_note(midi) for midi in range(21, 109)}), {})
+    assert PAGE_BYTES < len(text) < LARGEST_INSTRUMENT
+    assert len(read_saved(text, tmp_path).keys) == 88
 
 
 def test_the_script_leaves_the_room_for_an_instrument_that_is_counted_on(tmp_path):

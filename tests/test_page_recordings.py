@@ -8,20 +8,30 @@ import io
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import ERRORS, fit_document, true_instrument, true_note, uneven_note, write_fit
+from instrument_cases import (
+    ERRORS,
+    fit_document,
+    notes_of,
+    piano_of,
+    true_instrument,
+    true_note,
+    uneven_note,
+    write_fit,
+)
 from page_cases import SCRIPTS, node, ringing_note
 
 from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
 from pianofit.instrument import Instrument, load_instrument
-from pianofit.instrument.collect_fits import Layer
 from pianofit.io.files import encode_wav
 from pianofit.report.sound import k_weighted_mean_square
+from pianofit.schema.instrument import FitSummary, Layer
 from pianofit.web import write_page
 from pianofit.web.recordings import recorded_layers
 
@@ -43,29 +53,34 @@ def piano(tmp_path_factory) -> Instrument:
             file.write_bytes(encode_wav(0.3 * sound / np.abs(sound).max(), RATE))
             digest = hashlib.sha256(file.read_bytes()).hexdigest()
             layers.setdefault(midi, []).append(Layer(str(file), digest, CONTACT, velocity))
-    kept = {midi: tuple(found) for midi, found in layers.items()}
-    whole = true_instrument(range(60, 66))
-    return whole._replace(notes=whole.notes | notes, recorded=frozenset(notes), layers=kept)
+    return with_layers(piano_of(notes_of(true_instrument(range(60, 66))) | notes), layers)
+
+
+def with_layers(piano: Instrument, layers: dict[int, list[Layer]]) -> Instrument:
+    """The instrument with these recordings, and no others."""
+    fits = {midi: FitSummary(layers=tuple(found)) for midi, found in layers.items()}
+    return replace(piano, keys={midi: replace(key, fit=fits.get(midi)) for midi, key in piano.keys.items()})
 
 
 def test_a_layer_begins_with_its_key_and_keeps_its_shape(piano):
     for midi, found in recorded_layers(piano).items():
         for layer in found:
             sound, rate = sf.read(io.BytesIO(base64.b64decode(layer["flac"])), always_2d=True)
-            own = piano.notes[midi].render(layer["velocity"], seconds=2.0, rate=rate, mono=False)
+            own = piano.keys[midi].note.render(layer["velocity"], seconds=2.0, rate=rate, mono=False)
             sound = sound.T[:, : own.shape[-1]]
             assert sound.shape == own.shape
             assert np.abs(sound / np.abs(sound).max() - own / np.abs(own).max()).max() < 2e-3
 
 
 def test_recordings_that_are_gone_or_others_are_named(piano, tmp_path):
-    (gone,) = [layer._replace(file=str(tmp_path / "gone.wav")) for layer in piano.layers[60][:1]]
+    layer = piano.keys[60].fit.layers[0]
+    gone = replace(layer, file=str(tmp_path / "gone.wav"))
     with pytest.raises(Exception, match=r"gone\.wav: "):
-        recorded_layers(piano._replace(layers={60: (gone,)}))
+        recorded_layers(with_layers(piano, {60: [gone]}))
     with pytest.raises(FitError, match=r"60 at 1\.0\.wav: .*pianofit batch"):
-        recorded_layers(piano._replace(layers={60: (piano.layers[60][0]._replace(sha256="0"),)}))
+        recorded_layers(with_layers(piano, {60: [replace(layer, sha256="0")]}))
     with pytest.raises(FitError, match=r"--recordings: .*pianofit batch"):
-        recorded_layers(piano._replace(layers={}))
+        recorded_layers(with_layers(piano, {}))
 
 
 def test_recordings_are_shortened_before_they_are_too_much(piano, monkeypatch):
@@ -83,9 +98,10 @@ def test_the_layers_of_a_fit_come_with_its_instrument(tmp_path, capsys):
     document = fit_document(true_note(60), ERRORS)
     for i, row in enumerate(document["recordings"]):
         row |= {"file": f"/take {i}.wav", "sha256": str(i), "onset_s": 0.1}
-    document["ringing"] = {"by": "law", "layers": [{"file": "/take 0.wav", "contact_s": 0.002}]}
+    layers = [{"file": "/take 0.wav", "contact_s": 0.002}]
+    document["modal_response"] = {"render_model": "string model", "layers": layers}
     write_fit(tmp_path, 60, document)
-    (layers,) = load_instrument(tmp_path).layers.values()
+    layers = load_instrument(tmp_path).keys[60].fit.layers
     assert [(layer.file, layer.contact) for layer in layers] == [
         ("/take 0.wav", pytest.approx(0.102)), ("/take 1.wav", 0.1), ("/take 2.wav", 0.1),
     ]  # fmt: skip
@@ -97,16 +113,29 @@ def test_the_layers_of_a_fit_come_with_its_instrument(tmp_path, capsys):
     assert not (tmp_path / "piano.html").exists()
 
 
-def test_what_is_no_layer_in_an_instrument_is_left_out(tmp_path, piano):
+def test_what_is_no_layer_in_an_instrument_is_named(tmp_path):
     good = {"file": "a.wav", "sha256": "0", "contact": 0.1, "velocity": 2.0}
-    bad = [None, {}, good | {"file": 1}, good | {"contact": "soon"}, good | {"velocity": 1e9}, good | {"velocity": -1}]
+    bad = {
+        r"layers\[1\] = None must be a table": None,
+        r"layers\[1\]\.file is missing": {},
+        r"layers\[1\]\.file = 1 must be a text": good | {"file": 1},
+        r"layers\[1\]\.contact = 'soon' must be a number": good | {"contact": "soon"},
+        r"layers\[1\]\.velocity = 1000000000.0 must be a number of at most 20": good | {"velocity": 1e9},
+        r"layers\[1\]\.velocity = -1 must be a number of at least 0.01": good | {"velocity": -1},
+    }
     write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS))
     assert main(["instrument", str(tmp_path), "--out", str(tmp_path / "out"), "--no-page"]) == 0
     file = tmp_path / "out/instrument.json"
     document = json.loads(file.read_text())
-    next(key for key in document["keys"] if key["fit"])["fit"]["layers"] = [*bad, good]
+    fit = next(key for key in document["keys"] if key["fit"])["fit"]
+    fit["layers"] = [good]
     file.write_text(json.dumps(document))
-    assert load_instrument(file).layers == {60: (Layer("a.wav", "0", 0.1, 2.0),)}
+    assert load_instrument(file).keys[60].fit.layers == (Layer("a.wav", "0", 0.1, 2.0),)
+    for message, layer in bad.items():
+        fit["layers"] = [good, layer]
+        file.write_text(json.dumps(document))
+        with pytest.raises(FitError, match=message):
+            load_instrument(file)
 
 
 def test_the_pages_loudness_is_that_of_the_reports():

@@ -16,7 +16,7 @@ from instrument_cases import uneven_note
 from page_cases import early, error_db, node, ringing_note
 
 from pianofit.errors import ParameterError
-from pianofit.fit_file import load_note
+from pianofit.schema.notes import load_note
 from pianofit.web import widget
 
 RATE = 48_000

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["BEATING_DB", "HALF_WIDTH_95", "hertz_of", "midi_of"]
+__all__ = ["BEATING_DB", "HALF_WIDTH_95", "HIGHEST_KEY", "LOWEST_KEY", "hertz_of", "midi_of"]
 
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.
 HALF_WIDTH_95 = 1.959964
 # Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.
 BEATING_DB = 1.5
+# MIDI numbers of the keys of a piano, A0 to C8.
+LOWEST_KEY, HIGHEST_KEY = 21, 108
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

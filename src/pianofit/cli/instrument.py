@@ -13,10 +13,8 @@ from ..io.files import (
     check_sound_target,
     check_target,
     encode_pcm,
-    json_text,
     output_folder,
     printable,
-    replace_file,
     write_file,
 )
 from ..io.number_format import counted
@@ -43,19 +41,19 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
-    from ..instrument import build_instrument, find_fits, instrument_name, load_keys
+    from ..instrument import build_instrument, find_fits, instrument_name, load_keys, write_instrument
     from ..instrument.page import write_page
-    from ..instrument.text import summary
+    from ..schema.decode import builtins_of
+    from ..schema.instrument import INSTRUMENT_FILE
 
     files, first = find_fits(fits, prefix), fits[0].resolve()
-    keys = load_keys(files)
     folder_name = printable(first.name if first.is_dir() else first.parent.name)
-    document = build_instrument(keys, name or prefix or instrument_name(files[0]) or folder_name)
+    built = build_instrument(load_keys(files), name or prefix or instrument_name(files[0]) or folder_name)
     with output_folder(out, force) as folder:
-        replace_file(folder / "instrument.json", json_text(document).encode())
+        record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:
-            write_page(folder / "instrument.html", document)
-    print_result(document, f"{summary(document)}\nwritten to {out}\n", as_json)
+            write_page(folder / "instrument.html", built)
+    print_result(builtins_of(record), f"{built.summary()}\nwritten to {out}\n", as_json)
 
 
 def play(
@@ -82,12 +80,21 @@ def play(
     write_file(out, encode_pcm(rendered.samples, rate), force)
     seconds = rendered.samples.shape[-1] / rate
     info = {
-        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(rendered.samples), "notes": notes.notes,
-        "notes_beyond": notes.ignored_notes, "remarks": list(notes.remarks), "strikes": rendered.strikes,
-        "on_moving_strings": rendered.restrikes, "gain_db": rendered.gain_db, "limited_db": rendered.limited_db,
-        "peak": float(abs(rendered.samples).max(initial=0.0)), "computed_in_s": elapsed,
+        "file": str(out),
+        "seconds": seconds,
+        "rate": rate,
+        "channels": len(rendered.samples),
+        "notes": notes.notes,
+        "notes_beyond": notes.ignored_notes,
+        "remarks": list(notes.remarks),
+        "strikes": rendered.strikes,
+        "on_moving_strings": rendered.restrikes,
+        "gain_db": rendered.gain_db,
+        "limited_db": rendered.limited_db,
+        "peak": float(abs(rendered.samples).max(initial=0.0)),
+        "computed_in_s": elapsed,
         "real_time_factor": elapsed / seconds,
-    }  # fmt: skip
+    }
     print_result(info, _play_summary(out, info), as_json)
 
 
@@ -134,21 +141,22 @@ def page(
         check_target(out, force)
     written = write_page(out, loaded, recordings)
     info = {
-        "file": str(out), "bytes": out.stat().st_size, "keys": written.keys, "recorded": written.recorded,
-        "guesses": {"between": written.between, "beyond": written.beyond},
-        "knocks": None if written.knocks is None else {"bits": written.knocks.bits, "rate": written.knocks.rate},
+        "file": str(out),
+        "bytes": out.stat().st_size,
+        "keys": len(loaded.keys),
+        "recorded": len(loaded.recorded),
+        "guesses": dict(zip(("between", "beyond"), loaded.unrecorded_counts, strict=True)),
+        "knocks": None if written.knocks is None else written.knocks._asdict(),
         "layers": written.layers,
-    }  # fmt: skip
-    print_result(info, _page_summary(info), as_json)
+    }
+    print_result(info, _page_summary(info, loaded.guesses), as_json)
 
 
-def _page_summary(info: dict[str, Any]) -> str:
-    from ..instrument.text import unrecorded_text
-
+def _page_summary(info: dict[str, Any], guesses: str) -> str:
     knock_format = info["knocks"]
     knocks = f"; knocks at {knock_format['rate']:g} Hz and {knock_format['bits']} bits" if knock_format else ""
     knocks += f"; {counted(info['layers'], 'recording')} next to them" if info["layers"] else ""
     return (
         f"{info['file']}: {counted(info['keys'], 'key')}, {info['recorded']} of them recorded; "
-        f"{unrecorded_text(**info['guesses'])}{knocks}; {info['bytes'] / 1e6:.2f} MB, open it in a browser\n"
+        f"{guesses}{knocks}; {info['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

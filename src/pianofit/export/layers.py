@@ -20,13 +20,22 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import AnalysisError, ParameterError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
-    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfade_layers", "format_keys", "key_ranges", "layer_velocities",
-    "parse_keys", "silent_keys", "fill_gaps",
-]  # fmt: skip
+    "LOUDEST",
+    "SOFTEST",
+    "SampledKey",
+    "Zone",
+    "crossfade_layers",
+    "fill_gaps",
+    "format_keys",
+    "key_ranges",
+    "layer_velocities",
+    "parse_keys",
+    "silent_keys",
+]
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
@@ -56,9 +65,26 @@ class SampledKey(NamedTuple):
 
 
 def parse_keys(text: str) -> list[int]:
-    """Parse keys from a command line: A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a comma-separated mixture.
+    """Parse keys from a command line.
 
-    Raises `ParameterError`, which names the part that is not a key.
+    Parameters
+    ----------
+    text : A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a comma-separated mixture.
+
+    Returns
+    -------
+    MIDI keys, ascending.
+
+    Raises
+    ------
+    ParameterError
+        Names the part that is not a key.
+
+    Examples
+    --------
+    >>> from pianofit.export import parse_keys
+    >>> parse_keys("C2,E2-G2")
+    [36, 40, 41, 42, 43]
     """
     keys: set[int] = set()
     for part in (piece.strip() for piece in text.split(",")):

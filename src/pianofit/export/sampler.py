@@ -18,15 +18,14 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..errors import OutputError, ParameterError, check_range
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import StringVoice, damper_rate
 from ..threads import one_blas_thread
-from .formats import SAMPLERS
+from .formats import EXPORT_MARK, SAMPLERS, readme_text
 from .layers import SampledKey, key_ranges, layer_velocities, silent_keys
-from .readme import EXPORT_MARK, readme_text
-from .samples import KeySamples, measure_layers, render_sample
+from .samples import measure_layers, render_sample
 
 __all__ = ["ExportOptions", "ExportSummary", "export_sampler"]
 
@@ -66,20 +65,48 @@ class ExportOptions(NamedTuple):
 
 @one_blas_thread()
 def export_sampler(
-    instrument: Instrument, out: Path, keys: Sequence[int], options: ExportOptions, *, to: str = "sfz",
-    licence: str | None = None, force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
-) -> ExportSummary:  # fmt: skip
-    """Write the folder `out`, completely or not at all.
+    instrument: Instrument,
+    out: Path,
+    keys: Sequence[int],
+    options: ExportOptions,
+    *,
+    to: str = "sfz",
+    licence: str | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> ExportSummary:
+    """Write a folder for a sampler, completely or not at all.
 
     Parameters
     ----------
+    instrument : as `load_instrument` returns it.
+    out : folder to write.
     keys : MIDI keys to sample, ascending.
+    options : number, length and format of the samples.
     to : one of `SAMPLERS`.
     licence : licence of the source for the readme, in the words of the user.
+    force : replace an earlier export.
+    progress : called with the name of the step and the finished fraction.
 
-    Raises `ParameterError` for layers, seconds, rate or kind out of range, or a key that the instrument lacks.
-    Raises `OutputError` if `out` cannot be written, exists and is not an export, or is an export and `force` is not
-    set.
+    Returns
+    -------
+    Numbers of keys and samples, and the common gain.
+
+    Raises
+    ------
+    ParameterError
+        For layers, seconds, rate or kind out of range, or a key that the instrument lacks.
+    OutputError
+        If `out` cannot be written, exists and is not an export, or is an export and `force` is not set.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from pianofit.export import ExportOptions, export_sampler
+    >>> from pianofit.instrument import load_instrument
+    >>> options = ExportOptions(layers=2, seconds=0.2)
+    >>> export_sampler(load_instrument("batch", prefix="cp80"), Path("sampler"), [60, 64], options).samples
+    4
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
@@ -165,36 +192,39 @@ def _write_samples(
     progress: Callable[[str, float], None],
 ) -> tuple[ExportSummary, list[SampledKey]]:
     """Write all samples with one gain."""
-    measured: list[KeySamples] = []
+    _, seconds, rate, kind = options
+    measured = []
     for i, key in enumerate(keys):
-        string = StringVoice(instrument.note(key, 64), key, options.rate)
-        measured.append(measure_layers(instrument, string, layer_velocities(options.layers), options.seconds))
+        string = StringVoice(instrument.note(key, 64), key, rate)
+        measured.append(measure_layers(instrument, string, layer_velocities(options.layers), seconds))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
     peak = max(key.peak for key in measured)
     gain = PEAK_LIMIT / peak if peak > 0 else 1.0
     sampled_keys, frames, size = [], 0, 0
     for i, (key, (low, high), layers) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
-        string, files = StringVoice(instrument.note(key, 64), key, options.rate), []
+        string, files = StringVoice(instrument.note(key, 64), key, rate), []
+        name = midi_to_note(key).replace("#", "s")  # SFZ reads "#" as the start of a directive
         for zone, begin in zip(layers.zones, layers.begin, strict=True):
-            sound = render_sample(instrument, string, zone.velocity, begin, options.seconds)
+            sound = render_sample(instrument, string, zone.velocity, begin, seconds)
             sound = np.clip(gain * zone.sample_gain * sound, -1.0, 1.0)
-            files.append(f"samples/{_sample_name(key, zone.velocity)}.{options.kind}")
-            size += (work / files[-1]).write_bytes(encode_pcm(sound, options.rate, options.kind))
+            files.append(f"samples/{key:03}-{name}-v{zone.velocity:03}.{kind}")
+            size += (work / files[-1]).write_bytes(encode_pcm(sound, rate, kind))
             frames += sound.shape[-1]
         sampled_keys.append(SampledKey(key, low, high, damper_rate(key), layers.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     summary = ExportSummary(
-        len(keys), len(instrument.unrecorded_keys(keys)), sum(k.high - k.low for k in sampled_keys),
-        len(keys) * options.layers, frames / options.rate, size, 20 * math.log10(gain), silent_keys(sampled_keys),
-    )  # fmt: skip
+        keys=len(keys),
+        unrecorded=len(instrument.unrecorded(keys)),
+        transposed=sum(key.high - key.low for key in sampled_keys),
+        samples=len(keys) * options.layers,
+        seconds=frames / rate,
+        bytes=size,
+        gain_db=20 * math.log10(gain),
+        silent_keys=silent_keys(sampled_keys),
+    )
     return summary, sampled_keys
 
 
 def _file_name(name: str) -> str:
     """A file name of plain letters, which cannot leave its folder whatever the instrument is called."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-")[:64] or "instrument"
-
-
-def _sample_name(key: int, velocity: int) -> str:
-    # SFZ reads "#" as the start of a directive.
-    return f"{key:03}-{midi_to_note(key).replace('#', 's')}-v{velocity:03}"

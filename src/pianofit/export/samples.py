@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..model.note import arrival
 from ..playback.voice import CHANNELS, StringVoice
 from .layers import LOUDEST, SOFTEST, Zone, crossfade_layers, layer_velocities

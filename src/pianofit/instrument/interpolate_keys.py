@@ -18,6 +18,7 @@ choices reduce the distance to left-out recordings (`benchmarks/unrecorded.py`, 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +28,10 @@ from ..model.free_response import level_energy
 from ..model.modal_response import ModalResponse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
-from .collect_fits import is_force
+from .instrument import Key
+from .key_quantities import is_force
 
-__all__ = ["REACH", "interpolate_keys"]
+__all__ = ["REACH", "interpolate_keys", "with_interpolated_responses"]
 
 # Largest distance to the recorded key, semitones.
 REACH = 12
@@ -63,6 +65,13 @@ class _DonorKey(NamedTuple):
     phase: np.ndarray  # of its partials relative to the string model, magnitude 1 [partials, channels]
     centre: np.ndarray  # of windows, Hz [windows]
     share: np.ndarray  # amplitudes of the `RATIOS` [windows, ratios]
+
+
+def with_interpolated_responses(keys: Mapping[int, Key]) -> dict[int, Key]:
+    """Return all keys. Those that are interpolated get the modal responses of `interpolate_keys`."""
+    notes = {midi: key.note for midi, key in keys.items()}
+    notes |= interpolate_keys(notes, [midi for midi, key in keys.items() if key.is_interpolated])
+    return {midi: replace(key, note=notes[midi]) for midi, key in keys.items()}
 
 
 def interpolate_keys(notes: Mapping[int, Note], wanted: Iterable[int]) -> dict[int, Note]:

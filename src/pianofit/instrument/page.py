@@ -1,24 +1,29 @@
 """HTML page of an instrument: every parameter over the keyboard with the literature's values, and a table of all keys.
 
-It uses `report.html` and runs no script. Its figures have the colours and line styles of the report: those of initial
-values for the literature, and those of fits for the law. An outlier is a cross with its name.
+It runs no script. Its figures have the colours and line styles of the report: those of initial values for the
+literature, and those of fits for the law. An outlier is a cross with its name.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import __version__
+from ..analysis.note_names import midi_to_note
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.number_format import number
 from ..report import html
 from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
-from .collect_fits import HIGHEST_KEY, LOUDEST_VELOCITY, LOWEST_KEY, reference_compression
+from ..schema.instrument import PartialDecay
+from .collect_fits import LOUDEST_VELOCITY
+from .instrument import KEY_STATES, Instrument, Key
+from .key_quantities import LAW_QUANTITIES, reference_compression
 from .laws import OUTLIER_SD
-from .text import STATES, TITLES, counts
-from .velocity import hammer_velocity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,102 +32,110 @@ if TYPE_CHECKING:
 __all__ = ["write_page"]
 
 LITERATURE, LAW = INITIAL, FITTED
-CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
+CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
-GROUPS = {
+FIGURES = {
     "string": ("cents", "B", "b1", "d2"),
     "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
-RINGING = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}
+DECAYS = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}
 
 
-def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
-    """Write the page of a document of `build_instrument`. A failed write leaves no file.
+def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
+    """Write the page completely, or not at all.
 
-    Raises `OutputError` if `path` cannot be written.
+    Raises
+    ------
+    OutputError
+        If `path` cannot be written.
     """
-    state_counts, figures = counts(document), _draw(document)
     html.write_page(
         path,
         "page.html.j2",
         package="pianofit.instrument",
         strict=False,
-        title=document["name"] or "Instrument",
+        title=instrument.name or "Instrument",
         contents=True,
-        doc=document,
-        quantity=document["quantity"],
-        known=sum(key["fit"] is not None for key in document["keys"]),
-        states=[(state, state_counts[state], words) for state, words in STATES.items() if state_counts[state]],
-        figures={name: html.picture(panels) for name, panels in figures.items()},
-        rows=[_row(key) for key in document["keys"]],
+        warnings=instrument.warnings,
+        quantity=instrument.quantity,
+        recorded=len(instrument.recorded),
+        states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
+        figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
+        rows=[_row(midi, key) for midi, key in instrument.keys.items()],
         outlying=f"{OUTLIER_SD:g}",
         loudest=f"{LOUDEST_VELOCITY:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY),
         u_high=1e3 * reference_compression(HIGHEST_KEY),
+        version=__version__,
     )
 
 
-def _row(key: dict[str, Any]) -> dict[str, Any]:
-    s, h, g, fit = key["string"], key["hammer"], key["geometry"], key["fit"]
-    rounded = [key["told"]["B"]["value"], s["b1"], s["b2"], 1e3 * h["M_H"], 1e3 * g["mass"], h["K_H"]]
+def _row(midi: int, key: Key) -> dict[str, Any]:
+    s, h, g, fit = key.note.string, key.note.hammer, key.note.geometry, key.fit
+    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, h.K_H]
     cells = [
-        f"{s['c'] / (2 * g['length']):.2f}",
+        f"{key.note.f0:.2f}",
         *(number(x, 3) for x in rounded),
-        f"{h['p']:.3f}",
-        number(h["mu"], 2),
-        str(fit["recordings"]) if fit else "–",
-        f"{fit['levels_db']:.2f}" if fit and fit["levels_db"] is not None else "–",
+        f"{h.p:.3f}",
+        number(h.mu, 2),
+        str(fit.recordings) if fit else "–",
+        f"{fit.levels_db:.2f}" if fit and fit.levels_db is not None else "–",
     ]
-    changed = [
-        f"{n} ({t['state']})" if t["state"] == "outlier" else n
-        for n, t in key["told"].items()
-        if t.get("state") in ("pulled", "outlier")
-    ]
-    return {"note": key["note"], "state": key["state"], "cells": cells, "words": ", ".join(changed), "fit": fit}
+    changed = []
+    for name, value in key.values.items():
+        if value.own_fit and value.own_fit.state != "fitted":
+            changed.append(f"{name} (outlier)" if value.own_fit.state == "outlier" else name)
+    return {
+        "note": midi_to_note(midi),
+        "state": key.state,
+        "cells": cells,
+        "changed": ", ".join(changed),
+        "is_recorded": fit is not None,
+    }
 
 
-def _draw(document: dict[str, Any]) -> dict[str, list[bytes]]:
+def _draw(instrument: Instrument) -> dict[str, list[bytes]]:
     """SVGs of the panels, by figure."""
     with page_style():
-        figures = {name: [_law_panel(document, law) for law in names] for name, names in GROUPS.items()}
-        figures["sound"] = [
-            _law_panel(document, "gain"),
-            *(make_figure(draw, document) for draw in (_paths, _velocities, _residuals)),
-        ]
-        rows = [(key["midi"], entry) for key in document["keys"] for entry in (key["fit"] or {}).get("partials", ())]
-        if rows:
-            figures["ringing"] = [make_figure(_partials, rows, name, title=title) for name, title in RINGING.items()]
+        figures = {name: [_law_panel(instrument, law) for law in names] for name, names in FIGURES.items()}
+        others = [make_figure(draw, instrument) for draw in (_paths, _velocities, _residuals)]
+        figures["sound"] = [_law_panel(instrument, "gain"), *others]
+        fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
+        partials = [(midi, partial) for midi, fit in fits for partial in fit.partials]
+        if partials:
+            figures["decays"] = [make_figure(_decays, partials, name, title=title) for name, title in DECAYS.items()]
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
-def _law_panel(document: dict[str, Any], name: str) -> Figure:
-    return make_figure(_law, document, name, legend_rows=2, columns=3)
+def _law_panel(instrument: Instrument, name: str) -> Figure:
+    return make_figure(_law, instrument, name, legend_rows=2, columns=3)
 
 
-def _law(axes: Axes, document: dict[str, Any], name: str) -> None:
-    law, keys = document["laws"][name], document["keys"]
+def _law(axes: Axes, instrument: Instrument, name: str) -> None:
+    law, quantity = instrument.laws[name], LAW_QUANTITIES[name]
+    values = {midi: key.values[name] for midi, key in instrument.keys.items()}
     x = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
-    if law["literature"]:
-        axes.plot(x, law["literature"], color=LITERATURE, ls=(0, (4, 1.6)), lw=1.2, label="literature")
-    axes.fill_between(x, law["low"], law["high"], color=BAND, lw=0, label="95 % of the law")
-    axes.plot(x, law["value"], color=LAW, lw=1.5, label="law")
-    axes.plot(x, [key["told"][name]["value"] for key in keys], ".", ms=3, color=LAW, label="used for playing")
-    own = [(key["midi"], key["note"], key["told"][name]) for key in keys if key["fit"] is not None]
-    at = np.array([midi for midi, _, _ in own])
-    value = np.array([entry["own"] for _, _, entry in own])
-    span = np.array([entry["own_interval"] for _, _, entry in own]).T
-    bars = np.maximum([value - span[0], span[1] - value], 0.0)
-    axes.errorbar(at, value, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label="fit of the key", zorder=4)
-    for midi, note, entry in own:
-        if entry["state"] == "outlier":
-            axes.plot(midi, entry["own"], "x", ms=9, mew=2, color=WRONG, zorder=5)
-            axes.annotate(note, (midi, entry["own"]), (6, 4), textcoords="offset points", color=WRONG)
-    title, unit = TITLES[name]
-    axes.set_title(title + (f" ({unit})" if unit != "1" else ""))
+    if law.literature is not None:
+        axes.plot(x, law.literature, color=LITERATURE, ls=(0, (4, 1.6)), lw=1.2, label="literature")
+    axes.fill_between(x, law.low, law.high, color=BAND, lw=0, label="95 % of the law")
+    axes.plot(x, law.value, color=LAW, lw=1.5, label="law")
+    axes.plot([*values], [value.value for value in values.values()], ".", ms=3, color=LAW, label="used for playing")
+    fits = {midi: value.own_fit for midi, value in values.items() if value.own_fit}
+    fitted = np.array([fit.value for fit in fits.values()])
+    low, high = np.array([fit.interval for fit in fits.values()]).T
+    bars = np.maximum([fitted - low, high - fitted], 0.0)
+    label = "fit of the key"
+    axes.errorbar([*fits], fitted, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label=label, zorder=4)
+    for midi, fit in fits.items():
+        if fit.state == "outlier":
+            at = (midi, fit.value)
+            axes.plot(*at, "x", ms=9, mew=2, color=WRONG, zorder=5)
+            axes.annotate(midi_to_note(midi), at, (6, 4), textcoords="offset points", color=WRONG)
+    axes.set_title(quantity.title + (f" ({quantity.unit})" if quantity.unit not in ("", "1") else ""))
     _keyboard(axes)
     if name not in ("cents", "p"):
-        _log(axes, [*law["low"], *law["high"], *value, *(law["literature"] or [])])
+        _log(axes, [*law.low, *law.high, *fitted, *([] if law.literature is None else law.literature)])
 
 
 def _keyboard(axes: Axes) -> None:
@@ -130,7 +143,7 @@ def _keyboard(axes: Axes) -> None:
     axes.set_xticks(list(CS), list(CS.values()))
 
 
-def _log(axes: Axes, shown: list[float]) -> None:
+def _log(axes: Axes, shown: Iterable[float]) -> None:
     low, high = min(shown), max(shown)
     decades = np.log10(high / low)
     if decades < 0.6:
@@ -140,30 +153,33 @@ def _log(axes: Axes, shown: list[float]) -> None:
     log_axis(axes.yaxis, (1, 2, 5) if decades < 2.5 else (1,))
 
 
-def _paths(axes: Axes, document: dict[str, Any]) -> None:
-    for key in document["keys"]:
-        if key["path"] is not None and (key["fit"] is not None or key["midi"] in CS):
-            fitted = key["fit"] is not None
+def _paths(axes: Axes, instrument: Instrument) -> None:
+    for midi, key in instrument.keys.items():
+        path = key.note.path
+        if path is None or not (key.fit or midi in CS):
+            continue
+        style = {"lw": 1.3, "zorder": 3, "color": LAW, "alpha": 0.8}
+        if key.fit:
             style = {"lw": 0.9, "zorder": 2, "color": MEASURED, "alpha": 0.5}
-            if not fitted:
-                style = {"lw": 1.3, "zorder": 3, "color": LAW, "alpha": 0.8}
-            axes.semilogx(key["path"]["frequency"], key["path"]["db"], **style)
+        axes.semilogx(path.frequency, path.db, **style)
     axes.set_title("output path (dB): of each fit, and smooth part at C1 to C8")
     axes.set(xlabel="frequency (Hz)", xlim=(20, 2e4))
 
 
-def _residuals(axes: Axes, document: dict[str, Any]) -> None:
-    fitted = [key for key in document["keys"] if key["fit"] and key["fit"]["levels_db"] is not None]
-    axes.vlines([k["midi"] for k in fitted], 0, [k["fit"]["levels_db"] for k in fitted], color=MEASURED, lw=3)
+def _residuals(axes: Axes, instrument: Instrument) -> None:
+    levels = {midi: key.fit.levels_db for midi, key in instrument.keys.items() if key.fit}
+    shown = {midi: level for midi, level in levels.items() if level is not None}
+    axes.vlines([*shown], 0, [*shown.values()], color=MEASURED, lw=3)
     axes.set(title="residual of the partial levels of each fit (dB rms)")
     axes.set_ylim(bottom=0)
     _keyboard(axes)
 
 
-def _partials(axes: Axes, rows: list[tuple[int, dict[str, Any]]], name: str) -> None:
+def _decays(axes: Axes, partials: list[tuple[int, PartialDecay]], name: str) -> None:
     """One quantity of the lowest partials of the keys with a modal response."""
-    for partial in sorted({entry["partial"] for _, entry in rows}):
-        shown = [(midi, x[name]) for midi, x in rows if x["partial"] == partial and x[name] is not None]
+    values = [(midi, entry.partial, getattr(entry, name)) for midi, entry in partials]
+    for partial in sorted({k for _, k, _ in values}):
+        shown = [(midi, value) for midi, k, value in values if k == partial and value is not None]
         axes.plot(
             *np.reshape(shown, (-1, 2)).T,
             marker=MARKERS[(partial - 1) % len(MARKERS)],
@@ -173,14 +189,13 @@ def _partials(axes: Axes, rows: list[tuple[int, dict[str, Any]]], name: str) -> 
             label=f"partial {partial}",
         )
     _keyboard(axes)
-    _log(axes, [entry[name] for _, entry in rows if entry[name] is not None] or [1.0])
+    _log(axes, [value for _, _, value in values if value is not None] or [1.0])
 
 
-def _velocities(axes: Axes, document: dict[str, Any]) -> None:
-    law = document["velocity"]
-    if law["layers"]:
-        axes.plot(*np.array(law["layers"]).T, "o", ms=3.6, color=MEASURED)
-    x = range(1, 128)
-    axes.plot(x, [hammer_velocity(v, law["at_64"], law["rise"]) for v in x], color=LAW, lw=1.5)
+def _velocities(axes: Axes, instrument: Instrument) -> None:
+    curve, x = instrument.velocity, range(1, 128)
+    if curve.layers:
+        axes.plot(*np.array(curve.layers).T, "o", ms=3.6, color=MEASURED)
+    axes.plot(x, [curve.at(v) for v in x], color=LAW, lw=1.5)
     _log(axes, [0.1, 10.0])
     axes.set(title="hammer velocity; points: recorded layers", xlabel="MIDI velocity", ylabel="m/s", xlim=(0, 128))

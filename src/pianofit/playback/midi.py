@@ -16,19 +16,20 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import RecordingError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 from ..io.files import printable, read_file
 from .midi_file import MidiError, MidiFile, parse_midi
 
-__all__ = ["MOST_NOTES", "MOST_SONG_SECONDS", "Song", "load_song", "read_song"]
+__all__ = ["Song", "load_song", "read_song"]
 
 LARGEST_SONG = 2**21  # bytes; 100,000 notes take about half of it
 MOST_NOTES = 100_000
 MOST_SONG_SECONDS = 1800.0
+# Kinds of channel messages, controllers, and the channel of drums, from 0.
 NOTE_OFF, NOTE_ON, CONTROL = 8, 9, 11
-SUSTAIN, DOWN, DRUMS = 64, 64, 9
-SOUND_OFF, NOTES_OFF = 120, 123
+SUSTAIN, SOUND_OFF, NOTES_OFF = 64, 120, 123
+DRUMS = 9
 # Values in place of a velocity: the end of one stroke, and of all strokes of a channel.
 END, END_ALL = 0, -1
 
@@ -54,10 +55,21 @@ def load_song(path: str | os.PathLike[str]) -> Song:
     ----------
     path : path of the file.
 
+    Returns
+    -------
+    A `Song`.
+
     Raises
     ------
     RecordingError
         Names the file and the reason: not MIDI, no notes from A0 to C8, too many notes, too long.
+
+    Examples
+    --------
+    >>> from pianofit.playback import load_song
+    >>> song = load_song("melody.mid")
+    >>> song.notes, sorted(song.keys)
+    (4, [60, 64, 67])
     """
     data = read_file(path, LARGEST_SONG, RecordingError)
     return read_song(data, printable(path))
@@ -75,14 +87,19 @@ def _song(file: MidiFile, name: str) -> Song:
     """Collect the movements of keys and pedal from all events in time order."""
     if file.seconds > MOST_SONG_SECONDS:
         raise RecordingError(f"{name}: lasts more than {MOST_SONG_SECONDS / 60:g} minutes; cut it into parts")
-    pedal, notes, ignored = _Pedal(), 0, 0
+    notes, ignored = 0, 0
+    pedal: list[tuple[float, int]] = []
+    pedal_channels = set[int]()  # that hold the pedal down
     key_events = defaultdict[int, defaultdict[int, list[_KeyEvent]]](lambda: defaultdict(list))  # by key and channel
     used_keys = defaultdict[int, set[int]](set)  # channel -> keys with events since its last "all notes off"
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
         if kind == CONTROL and first == SUSTAIN:
-            pedal.move(now, channel, int(second >= DOWN))
+            down = int(second >= 64)
+            if down or pedal_channels == {channel}:
+                pedal.append((now, down))
+            (pedal_channels.add if down else pedal_channels.discard)(channel)
         elif kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
             for key in used_keys.pop(channel, ()):
                 key_events[key][channel].append(_KeyEvent(order, now, END_ALL))
@@ -96,7 +113,7 @@ def _song(file: MidiFile, name: str) -> Song:
                 ignored += velocity > 0
     _check_count(notes, name, file.remarks)
     keys = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
-    return Song(keys, pedal.events, file.seconds, notes, ignored, file.remarks)
+    return Song(keys, pedal, file.seconds, notes, ignored, file.remarks)
 
 
 def _check_count(notes: int, name: str, remarks: Sequence[str]) -> None:
@@ -160,17 +177,3 @@ def _add_missing_ends(events: list[_KeyEvent]) -> list[_KeyEvent]:
             following = events[next_stroke[i]]
             ends.append(_KeyEvent(following.order - 0.5, following.seconds, END))
     return [*events, *ends]
-
-
-class _Pedal:
-    """The sustain pedal, which is down while any channel holds it down."""
-
-    def __init__(self) -> None:
-        self.channels: set[int] = set()  # that hold it down
-        self.events: list[tuple[float, int]] = []
-
-    def move(self, now: float, channel: int, down: int) -> None:
-        """Apply one controller event of a channel."""
-        if down or self.channels == {channel}:
-            self.events.append((now, down))
-        (self.channels.add if down else self.channels.discard)(channel)

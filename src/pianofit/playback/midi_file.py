@@ -14,18 +14,10 @@ from typing import NamedTuple
 
 __all__ = ["MidiError", "MidiEvent", "MidiFile", "parse_midi"]
 
-HEADER, TRACK = b"MThd", b"MTrk"
-HEADER_SIZE = 6  # bytes: format, tracks, division; the rest of a longer header is ignored
 SYSEX, ESCAPE, META = 0xF0, 0xF7, 0xFF
 END_OF_TRACK, SET_TEMPO = 0x2F, 0x51
 # Data bytes of system messages, which a file should not hold; all others have none.
 SYSTEM_LENGTHS = {0xF1: 1, 0xF2: 2, 0xF3: 1}
-# Channel messages with one data byte: program change and channel pressure.
-ONE_BYTE = (0xC, 0xD)
-# Bytes of the longest length or delta time, seven bits each.
-LONGEST_NUMBER = 4
-# Microseconds per beat until a file sets a tempo: 120 beats a minute.
-FIRST_TEMPO = 500_000
 # SMPTE frames per second by the negated first byte of the division. 29 means 29.97, drop frame.
 FRAME_RATES = {24: 24.0, 25: 25.0, 29: 30_000 / 1001, 30: 30.0}
 
@@ -55,9 +47,12 @@ class MidiFile(NamedTuple):
 def parse_midi(data: bytes) -> MidiFile:
     """Read the file from the first MIDI header in `data` on. A RIFF wrapper before it is skipped.
 
-    Raises `MidiError` for a missing or unusable header, or a file of type 2 with several tracks.
+    Raises
+    ------
+    MidiError
+        For a missing or unusable header, or a file of type 2 with several tracks.
     """
-    begin = data.find(HEADER)
+    begin = data.find(b"MThd")
     if begin < 0:
         raise MidiError("it has no MIDI header, MThd")
     try:
@@ -65,7 +60,7 @@ def parse_midi(data: bytes) -> MidiFile:
     except struct.error:
         raise MidiError("its header is cut short") from None
     ticks, smpte = _ticks(division)
-    tracks = list(_tracks(data, begin + 8 + max(size, HEADER_SIZE)))
+    tracks = list(_tracks(data, begin + 8 + max(size, 6)))  # the rest of a longer header is ignored
     if file_type > 2 or (file_type == 2 and len(tracks) > 1):
         raise MidiError("type 2, whose tracks are separate songs" if file_type == 2 else f"type {file_type} is unknown")
     clock = _Clock([] if smpte else [tempo for track in tracks for tempo in track.tempos], ticks, smpte)
@@ -76,9 +71,9 @@ def parse_midi(data: bytes) -> MidiFile:
 
 def _ticks(division: int) -> tuple[float, bool]:
     """Ticks per beat, or per second in SMPTE time; and whether it is SMPTE time."""
+    if not division:
+        raise MidiError("0 ticks a beat")
     if division < 2**15:
-        if not division:
-            raise MidiError("0 ticks a beat")
         return division, False
     frames, ticks = 256 - (division >> 8), division & 255
     if frames not in FRAME_RATES or not ticks:
@@ -90,7 +85,8 @@ class _Clock:
     """Time of a tick, s, from all tempo changes of a file."""
 
     def __init__(self, tempos: list[tuple[int, int]], ticks: float, smpte: bool) -> None:
-        self.ticks, self.seconds, self.beat_seconds = [0], [0.0], [1.0 if smpte else FIRST_TEMPO / 1e6]
+        # Until a file sets a tempo, a beat lasts 0.5 s.
+        self.ticks, self.seconds, self.beat_seconds = [0], [0.0], [1.0 if smpte else 0.5]
         self.division = ticks  # ticks per beat, or per second
         for tick, tempo in sorted(tempos, key=lambda tempo: tempo[0]):
             now = self(tick)
@@ -108,13 +104,13 @@ def _tracks(data: bytes, at: int) -> Iterator[_Track]:
     while 0 <= at <= len(data) - 8:
         name, size = struct.unpack_from(">4sI", data, at)
         end = at + 8 + size
-        if name == TRACK:
+        if name == b"MTrk":
             track = _Track(data, at + 8, min(end, len(data)))
             track.read(truncated=end > len(data))
             yield track
             at = end if end <= len(data) else track.at
         else:
-            at = end if end <= len(data) else data.find(TRACK, at + 1)
+            at = end if end <= len(data) else data.find(b"MTrk", at + 1)
 
 
 class _EventError(Exception):
@@ -136,8 +132,7 @@ class _Track:
         running = 0  # running status, for channel messages without a status byte
         try:
             while self.at < self.end:
-                tick = self.tick + self._number()
-                status = self._byte()
+                tick, status = self.tick + self._number(), self._byte()
                 if status == META:
                     self.tick = tick
                     if self._is_last():
@@ -159,12 +154,9 @@ class _Track:
 
         A tempo event counts only with three bytes and a value above zero.
         """
-        kind, size = self._byte(), self._number()
-        start = self.at
-        self._skip(size)
-        tempo = int.from_bytes(self.data[start : self.at]) if kind == SET_TEMPO and size == 3 else 0
-        if tempo:
-            self.tempos.append((self.tick, tempo))
+        kind, data = self._byte(), self._skip(self._number())
+        if kind == SET_TEMPO and len(data) == 3 and any(data):
+            self.tempos.append((self.tick, int.from_bytes(data)))
         return kind == END_OF_TRACK
 
     def _message(self, tick: int, first: int, running: int) -> int:
@@ -173,30 +165,28 @@ class _Track:
             running, first = first, self._byte()
         if not running:
             raise _EventError("is damaged")
-        second = 0 if running >> 4 in ONE_BYTE else self._byte()
+        second = 0 if running >> 4 in (0xC, 0xD) else self._byte()  # program changes and channel pressure have one byte
         self.messages.append((tick, running, min(first, 127), min(second, 127)))
         return running
 
     def _byte(self) -> int:
-        if self.at >= self.end:
-            raise _EventError("is cut short")
-        self.at += 1
-        return self.data[self.at - 1]
+        return self._skip(1)[0]
 
     def _number(self) -> int:
-        """Read a number of variable length: seven bits a byte, the highest bit set in all but the last."""
+        """Read a number of variable length: up to four bytes of seven bits, the highest bit set in all but the last."""
         number = 0
-        for _ in range(LONGEST_NUMBER):
+        for _ in range(4):
             byte = self._byte()
             number = number << 7 | byte & 0x7F
             if byte < 0x80:
                 return number
         raise _EventError("is damaged")
 
-    def _skip(self, size: int) -> None:
+    def _skip(self, size: int) -> bytes:
         if size > self.end - self.at:
             raise _EventError("is cut short")
         self.at += size
+        return self.data[self.at - size : self.at]
 
 
 def _remarks(tracks: list[_Track], declared: int, clock: _Clock) -> list[str]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError, check_range
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES
@@ -20,7 +20,7 @@ from ..threads import one_blas_thread
 from .midi import Song
 from .voice import StringVoice
 
-__all__ = ["MOST_LIMITED_DB", "Performance", "limit", "render_song"]
+__all__ = ["Performance", "limit", "render_song"]
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
@@ -50,14 +50,37 @@ class _Event(NamedTuple):
 
 @one_blas_thread()
 def render_song(
-    instrument: Instrument, song: Song, rate: int = 48_000,
-    progress: Callable[[str, float], None] = lambda *_: None,
-) -> Performance:  # fmt: skip
-    """Render a song.
+    instrument: Instrument, song: Song, rate: int = 48_000, progress: Callable[[str, float], None] = lambda *_: None
+) -> Performance:
+    """Render a song on an instrument.
 
-    A knock may begin before its stroke, so the song begins `instrument.lead` seconds after the first sample.
+    A knock may begin before its stroke, so the song begins `Instrument.pre_onset_s` after the first sample.
 
-    Raises `ParameterError` for a rate out of range, a song that is too long, or a key that the instrument lacks.
+    Parameters
+    ----------
+    instrument : as `load_instrument` returns it.
+    song : as `load_song` returns it.
+    rate : sample rate, Hz.
+    progress : called with the name of the step and the finished fraction.
+
+    Returns
+    -------
+    The sound of all channels, within -1 dBFS, and its levels.
+
+    Raises
+    ------
+    ParameterError
+        For a rate out of range, a song that is too long, or a key that the instrument lacks.
+    FitError
+        If a hammer stays on its string.
+
+    Examples
+    --------
+    >>> from pianofit.instrument import load_instrument
+    >>> from pianofit.playback import load_song, render_song
+    >>> sound = render_song(load_instrument("batch", prefix="cp80"), load_song("melody.mid"))
+    >>> len(sound.samples), sound.strikes
+    (1, 4)
     """
     check_range("rate=", rate, *RATES, " Hz")
     lead = round(instrument.pre_onset_s * rate)
@@ -69,7 +92,7 @@ def render_song(
         )
     for key in song.keys:
         instrument.note(key, 64)  # reject a missing key before the computation starts
-    total, strikes, restrikes, last = np.zeros((instrument.channels, size)), 0, 0, 0
+    total, hits, last = np.zeros((instrument.channels, size)), list[bool](), 0
     for key in sorted(song.keys):
         string = StringVoice(instrument.note(key, 64), key, rate)
         for at, sound, hit_moving in _phrases(string, instrument, _events(song, key, rate), size):
@@ -78,31 +101,26 @@ def render_song(
             end = begin + sound.shape[-1]
             total[:, begin:end] += sound  # a single channel is added to all
             last = max(last, end)
-            strikes += len(hit_moving)
-            restrikes += sum(hit_moving)
-            progress("playing", 0.98 * strikes / song.notes)
+            hits += hit_moving
+            progress("playing", 0.98 * len(hits) / song.notes)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(total[:, :last], rate)
-    return Performance(samples, gain_db, limited_db, strikes, restrikes)
+    return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 
 
 def _events(song: Song, key: int, rate: int) -> list[_Event]:
     """Strokes of a key and movements of its damper, in time order."""
-    merged = sorted(
-        [(t, 1, v, False) for t, v in song.keys[key]] + [(t, 0, 0, down) for t, down in song.pedal],
-        key=lambda event: event[:2],
-    )
+    end = song.seconds + LAST_HELD
+    moves = [(t, 0, down) for t, down in [*song.pedal, (end, 0)]]  # the pedal before the key
+    moves += [(t, 1, velocity) for t, velocity in [*song.keys[key], (end, 0)]]
     events: list[_Event] = []
-    is_held = is_pedal_down = is_damped = False
-    merged += [(song.seconds + LAST_HELD, 0, 0, False), (song.seconds + LAST_HELD, 1, 0, False)]
-    for t, is_key_event, velocity, down in merged:
-        if is_key_event:
-            is_held = velocity > 0
-        else:
-            is_pedal_down = down
-        was_damped, is_damped = is_damped, not (is_held or is_pedal_down)
-        if velocity > 0 or is_damped != was_damped:
+    is_down, is_damped = [False, False], False  # pedal and key
+    for t, is_key, value in sorted(moves, key=lambda move: move[:2]):
+        is_down[is_key] = bool(value)
+        was_damped, is_damped = is_damped, not any(is_down)
+        velocity = value if is_key else 0
+        if velocity or is_damped != was_damped:
             events.append(_Event(round(t * rate), velocity, is_damped))
     return events
 

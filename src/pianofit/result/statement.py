@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..inference.pipeline import InferenceResult
+from ..inference import InferenceResult
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..schema.fit import LevelErrors
 from ..schema.quantities import Status
@@ -19,8 +19,6 @@ from .statuses import (
     path_compared,
     velocity_range,
 )
-
-__all__ = ["best_combination", "identifiability_statement", "strong_correlations"]
 
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99

@@ -6,23 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference import InferenceResult
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.pipeline import InferenceResult
 from ..schema.quantities import Status
-
-__all__ = [
-    "FELT_EXCESS_DB",
-    "HAMMER_EXCESS_DB",
-    "PIANIST_VELOCITY_RATIO",
-    "exceeds_pianist",
-    "invariant_status",
-    "path_compared",
-    "scaled_parameters",
-    "statuses",
-    "unidentifiable_parameters",
-    "velocity_range",
-    "velocity_statuses",
-]
 
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
 MAX_SD_OVER_PRIOR = 0.7

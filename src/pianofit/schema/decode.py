@@ -21,8 +21,6 @@ from ..errors import FitError, PianofitError
 from ..io.files import json_text, printable, read_file, short_repr
 from ..io.number_format import LARGEST
 
-__all__ = ["Number", "builtins_of", "convert", "encode_json", "load_json"]
-
 T = TypeVar("T")
 # A finite number that can be squared without overflow.
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
@@ -136,6 +134,7 @@ def _split(problem: str) -> tuple[str, str]:
 def _message(problem: str, data: Any, kind: Any) -> str:
     """Return a message with the entry, its value and what is expected."""
     text, path = _split(problem)
+    path = _with_names(path, data, kind)
     if missing := MISSING.match(text):
         return f"{(path + '.' + missing[1]).lstrip('.')} is missing"
     entry = path.lstrip(".") or "the content"
@@ -147,6 +146,21 @@ def _message(problem: str, data: Any, kind: Any) -> str:
         words = " or ".join(WORDS.get(part, part) for part in name.split(" | "))
         return f"{shown} must be {words}{_limit_in_words(limit)}{f' {length}' * bool(length)}"
     return f"{shown}: {text[:1].lower() + text[1:]}"
+
+
+def _with_names(path: str, data: Any, kind: Any) -> str:
+    """Return a path with the name of the entry of a table, which msgspec writes as `[...]`."""
+    before, dots, _ = path.partition("[...]")
+    if not dots:
+        return path
+    whole = _kind_at(kind, before)
+    entry_kind = next(get_args(part)[1] for part in (whole, *get_args(whole)) if get_origin(part) is dict)
+    for name, entry in _value_at(data, before).items():
+        try:
+            msgspec.convert(entry, entry_kind, dec_hook=_decode)
+        except msgspec.ValidationError as problem:
+            return f"{before}.{name}{_with_names(_split(str(problem))[1], entry, entry_kind)}"
+    return path
 
 
 def _limit_in_words(limit: str | None) -> str:
@@ -175,12 +189,24 @@ def _value_at(data: Any, path: str) -> Any:
     return data
 
 
+def _kind_at(kind: Any, path: str) -> Any:
+    """Return the type of the entry at a path. Entries of lists and tables have the type of the whole."""
+    for step in _steps(path):
+        for part in _parts(kind):
+            part = getattr(part, "entry_type", part)
+            if is_dataclass(part) and step in {field.name for field in fields(part)}:
+                kind = get_type_hints(part, include_extras=True)[step]
+    return kind
+
+
+def _parts(kind: Any) -> list[Any]:
+    """Return the types that a type is made of, without None."""
+    if get_origin(kind) is Literal or not get_args(kind):
+        return [] if kind is type(None) else [kind]
+    return [part for inner in get_args(kind) for part in _parts(inner)]
+
+
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """Return the values that a `Literal` at a path allows; empty for other types."""
-    for step in _steps(path):
-        kind = next((arg for arg in get_args(kind) if is_dataclass(arg)), kind)
-        if hasattr(kind, "entry_type"):
-            kind = kind.entry_type
-        elif isinstance(step, str) and is_dataclass(kind) and step in {field.name for field in fields(kind)}:
-            kind = get_type_hints(kind, include_extras=True)[step]
-    return get_args(kind) if get_origin(kind) is Literal else ()
+    parts = _parts(_kind_at(kind, path))
+    return get_args(parts[0]) if len(parts) == 1 and get_origin(parts[0]) is Literal else ()

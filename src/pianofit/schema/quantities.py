@@ -18,18 +18,6 @@ from ..io.table_output import data_frame, html_table, write_csv
 from ..io.uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
 from .decode import Number
 
-__all__ = [
-    "MEANINGS",
-    "STATUSES",
-    "UNITS",
-    "Covariance",
-    "Quantities",
-    "Quantity",
-    "Status",
-    "meaning_of",
-    "unit_of",
-]
-
 Status = Literal["fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable"]
 STATUSES: tuple[str, ...] = get_args(Status)
 # Unit and meaning of the quantities that are not in `ALL_PARAMETERS`.
@@ -101,6 +89,12 @@ class Quantity:
         half = (high - low) / 2
         middle = abs((low + high) / 2 - self.value)
         return half / HALF_WIDTH_95 if 0 < half < math.inf and middle <= MAX_ASYMMETRY * half else None
+
+    @property
+    def log_half_width(self) -> float | None:
+        """Half of the 95 % interval of the logarithm; None without an interval of positive values."""
+        low, high = self.interval or (0.0, 0.0)
+        return math.log(high / low) / 2 if 0 < low < high else None
 
     def __float__(self) -> float:
         return float(self.value)

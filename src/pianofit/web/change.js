@@ -44,8 +44,8 @@ export function changed(key, changes) {
     return Math.sqrt((1 + B * c.inharmonicity * k * k) / (1 + B * k * k));
   };
   if (key.path) out.path = { ...key.path, frequency: key.path.frequency.map((f) => f * shift(f)) };
-  if (key.ringing) {
-    const { pole, pattern } = key.ringing, f = pole.im.map((x) => x / (2 * Math.PI));
+  if (key.modal_response) {
+    const { pole, modal_amplitudes: amplitudes } = key.modal_response, f = pole.im.map((x) => x / (2 * Math.PI));
     const number = f.map((x) => Math.max(Math.round(partialOf(x, f0, B)), 1)), most = Math.max(1, ...number);
     const [before, after] = [geometry, out.geometry].map((g) => raisedCosineWeights(g, most));
     const level = number.map((k) => {
@@ -53,9 +53,9 @@ export function changed(key, changes) {
       return Math.sign(ratio) * Math.min(Math.abs(ratio), MOST_LEVEL) || 0;
     });
     const scaled = (column) => column.map((x, m) => x * level[m]);
-    out.ringing = { ...key.ringing,
+    out.modal_response = { ...key.modal_response,
       pole: { re: pole.re.map((x) => x * c.loss), im: pole.im.map((x, m) => x * shift(f[m])) },
-      pattern: pattern.map(({ re, im }) => ({ re: scaled(re), im: scaled(im) })) };
+      modal_amplitudes: amplitudes.map(({ re, im }) => ({ re: scaled(re), im: scaled(im) })) };
   }
   return out;
 }

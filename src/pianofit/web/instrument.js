@@ -1,8 +1,8 @@
-// The instrument with all changes on the page as an instrument.json, which instrument/document.py reads.
+// The instrument with all changes on the page as an instrument.json, which schema/instrument.py reads.
 
-import { pathOf, ringingOf } from "./note.js";
+import { pathOf, responseOf } from "./note.js";
 
-const INSTRUMENT_SCHEMA = 2; // see instrument/build.py
+const INSTRUMENT_SCHEMA = 3; // see schema/instrument.py
 // Laws whose values and intervals become invalid when a slider is changed.
 const LAWS_OF = { force: ["K/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], strike: ["x0/L"], loss: ["b1", "d2"],
   inharmonicity: ["B"] };
@@ -16,12 +16,12 @@ const LAWS_OF = { force: ["K/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], str
 export function instrumentDocument({ name, velocity }, keys, volume) {
   const changedKeys = keys.filter(({ changes }) => Object.keys(changes).length).map(({ key }) => key.note);
   const names = changedKeys.length === keys.length ? `all ${keys.length} keys` : changedKeys.join(", ");
-  const messages = ["Saved from the page to play."];
-  if (changedKeys.length) messages.push(`Changed by hand: ${names}.`);
-  if (volume !== 1) messages.push(`The gains include the volume of the page, ${(20 * Math.log10(volume)).toFixed(0)} dB.`);
+  const warnings = ["Saved from the page to play."];
+  if (changedKeys.length) warnings.push(`Changed by hand: ${names}.`);
+  if (volume !== 1) warnings.push(`The gains include the volume of the page, ${(20 * Math.log10(volume)).toFixed(0)} dB.`);
   return {
     schema: INSTRUMENT_SCHEMA, program: "pianofit", kind: "instrument", name, quantity: keys[0].key.quantity,
-    velocity: { ...velocity, from: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), messages,
+    velocity: { ...velocity, source: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), warnings,
   };
 }
 
@@ -31,8 +31,8 @@ function rowOf({ key, changes }, volume) {
   const valid = Object.entries(key.values ?? {}).filter(([law]) => !invalid.includes(law));
   return {
     midi, note, state: sliders.length ? "changed" : state, changes: sliders.length ? changes : null, string, hammer,
-    geometry, gain: gain * volume, path: pathOf(key), ringing: key.ringing ? ringingOf(key) : null,
-    told: Object.fromEntries(valid.map(([law, [value, low, high]]) => [law, { value, interval: [low, high] }])),
+    geometry, gain: gain * volume, path: pathOf(key), modal_response: key.modal_response ? responseOf(key) : null,
+    values: Object.fromEntries(valid.map(([law, [value, low, high]]) => [law, { value, interval: [low, high] }])),
     fit: recorded ? {} : null,
   };
 }

@@ -3,7 +3,7 @@
 import { partialOf } from "./change.js";
 import { encodeWav } from "./output.js";
 
-const SCHEMA = 4; // of fit.json: FIT_SCHEMA in io/files.py
+const SCHEMA = 5; // of fit.json: FIT_SCHEMA in schema/fit.py
 
 /** Bytes as base64, in parts, because the number of arguments of a call is limited. */
 function base64(bytes) {
@@ -19,20 +19,18 @@ export function pathOf({ path }) {
 }
 
 /** Modal response of a key divided by its gain, with the knock as a WAV file of 32-bit floats. */
-export function ringingOf({ ringing, string, geometry, gain }) {
-  const { pole, pattern, knock, rate, participation } = ringing;
+export function responseOf({ modal_response: measured, string, geometry, gain }) {
+  const { pole, modal_amplitudes: amplitudes, velocity_gain: velocityGain, knock, rate } = measured;
   const list = (column, factor = 1) => Array.from(column, (x) => x * factor);
+  const row = ({ re, im }, factor) => ({ real: list(re, factor), imag: list(im, factor) });
   const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
   const frequency = list(pole.im, 1 / (2 * Math.PI));
   return {
-    by: knock[0]?.length ? "modes and knock" : "modes",
     modes: { partial: frequency.map((f) => Math.max(Math.round(partialOf(f, f0, B)), 1)), frequency,
       decay: list(pole.re, -1) },
-    pattern: pattern.map(({ re, im }) => ({ real: list(re, 1 / gain), imag: list(im, 1 / gain) })),
-    participation: participation && {
-      velocity: participation.velocity,
-      strokes: participation.strokes.map(({ re, im }) => ({ real: list(re), imag: list(im) })),
-    },
+    modal_amplitudes: amplitudes.map((channel) => row(channel, 1 / gain)),
+    velocity_gain: velocityGain && { velocity: velocityGain.velocity,
+      strokes: velocityGain.strokes.map((stroke) => row(stroke)) },
     knock: knock[0]?.length
       ? { wav: base64(encodeWav(knock.map((x) => x.map((y) => y / gain)), rate)), scale: 1, rate }
       : null,
@@ -42,19 +40,20 @@ export function ringingOf({ ringing, string, geometry, gain }) {
 /**
  * Document of a key with its changes, struck at `velocity`, m/s.
  *
- * claims: a sentence on its origin; rate: default sample rate of rendered sounds, Hz.
+ * origin: a sentence on where the key comes from; rate: default sample rate of rendered sounds, Hz.
  */
-export function noteDocument(key, { velocity, rate, claims }) {
+export function noteDocument(key, { velocity, rate, origin }) {
   const { string, hammer, geometry, quantity, gain } = key;
   const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike_position, width: geometry.width,
     M_S: geometry.mass, L: geometry.length, pickup: geometry.pickup };
   const given = (value) => ({ value, interval: null, status: "given" });
+  const response = key.modal_response ? responseOf(key) : null;
   return {
-    schema: SCHEMA, program: "pianofit", kind: "note", claims, messages: [],
+    schema: SCHEMA, program: "pianofit", kind: "note", origin,
     felt: hammer.mu === 0 ? "power" : "hunt-crossley",
     parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
-    recordings: [{ rate, v_H0: velocity, v_H0_status: "given", gain, gain_status: "given", first: true }],
+    recordings: [{ gain, rate }],
     pickup: { quantity, path: pathOf(key) },
-    ringing: key.ringing ? ringingOf(key) : { by: "law" },
+    modal_response: response && { render_model: response.knock ? "modes and knock" : "modes", response },
   };
 }

@@ -1,4 +1,4 @@
-"""The payload of a page: an instrument as JSON, with arrays in base64.
+"""The payload of a page: an instrument for its scripts, with arrays in base64.
 
 Knocks take most of the size. They get the highest sample rate and the most bits that the size of the page allows.
 """
@@ -8,27 +8,28 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..errors import ParameterError
-from ..instrument.collect_fits import reference_compression
-from ..instrument.document import Instrument
+from ..instrument import Instrument
+from ..instrument.key_quantities import reference_compression
 from ..model.modal_response import ModalResponse, resample
 from ..model.note import Note
 from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
+from ..schema.instrument import Value
 
-__all__ = ["KnockEncoding", "encode_note", "intervals", "encode_instrument"]
+__all__ = ["KNOCK_ENCODINGS", "KnockEncoding", "encode_instrument", "encode_note", "slider_intervals"]
 
 # Samples of a knock that share a scale.
 SCALE_BLOCK = 256
 # Significant digits of values and intervals, which are only displayed.
 DIGITS = 6
-# Sliders of the page that multiply the value of one keyboard law (`instrument.collect_fits`), and the laws of losses.
+# Sliders of the page that multiply the value of one keyboard law, and the laws of losses.
 SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
 LOSSES = ("b1", "d2")
 
@@ -51,67 +52,82 @@ KNOCK_ENCODINGS = (
 def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], KnockEncoding | None]:
     """Encode an instrument for the scripts of the page; also return the encoding of its knocks, if it has any.
 
-    Raises `ParameterError` if a felt law cannot be played, or the document exceeds `most_bytes`.
+    Raises
+    ------
+    ParameterError
+        If a felt law cannot be played, or the payload exceeds `most_bytes`.
     """
-    rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
+    responses = [key.note.ringing for key in instrument.keys.values()]
+    rates = [response.rate for response in responses if response is not None and response.knock.size]
     size = 0
-    for kept in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
-        document = _document(instrument, kept)
-        size = len(json.dumps(document))
+    for knocks in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
+        payload = _encode(instrument, knocks)
+        size = len(json.dumps(payload))
         if size <= most_bytes:
-            return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
+            return payload, knocks._replace(rate=min(knocks.rate, max(rates))) if rates else None
     raise ParameterError(
         f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
         "choose fewer keys"
     )
 
 
-def _document(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
+def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
+    shown = {*SLIDERS.values(), *LOSSES, "p"}
     return {
         "name": instrument.name,
-        "velocity": {"at_64": instrument.velocity_at_64, "rise": instrument.velocity_slope},
+        "velocity": {"at_64": instrument.velocity.at_64, "rise": instrument.velocity.rise},
         "keys": [
-            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
-             "state": instrument.states.get(midi)}
-            | encode_note(note, midi, knocks)
-            | _values_and_intervals(instrument.values.get(midi, {}))
-            for midi, note in sorted(instrument.notes.items())
+            {
+                "midi": midi,
+                "note": midi_to_note(midi),
+                "recorded": key.fit is not None,
+                "state": key.state,
+                **encode_note(key.note, midi, knocks),
+                "intervals": {name: _rounded(*span) for name, span in slider_intervals(key.values).items()},
+                "values": {name: _rounded(x.value, *x.interval) for name, x in key.values.items() if name in shown},
+            }
+            for midi, key in sorted(instrument.keys.items())
         ],
-    }  # fmt: skip
+    }
 
 
-def _values_and_intervals(laws: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
-    """Intervals of the sliders, and the values of their laws, which the page writes into a saved instrument."""
-    values = {law: row for law, row in laws.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
-    return {"intervals": _round_digits(intervals(laws)), "values": _round_digits(values)}
+def _rounded(*numbers: float) -> list[float]:
+    return [float(f"{x:.{DIGITS}g}") for x in numbers]
 
 
-def _round_digits(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
-    return {name: [float(f"{x:.{DIGITS}g}") for x in row] for name, row in table.items()}
-
-
-def intervals(laws: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
-    """95 % intervals of the sliders in their units: factors, and differences of p.
+def slider_intervals(values: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
+    """Return the 95 % intervals of the sliders in their units: factors, and differences of p.
 
     The interval of the losses is that of the decay rate of partial 1, b1 + d2, with independent errors of both.
     """
-    by_slider = {slider: [low / value, high / value] for slider, law in SLIDERS.items() if law in laws
-                 for value, low, high in [laws[law]] if 0 < low <= value <= high}  # fmt: skip
-    if "p" in laws:
-        value, low, high = laws["p"]
-        by_slider["p"] = [low - value, high - value]
-    parts = [laws[law] for law in LOSSES if law in laws]
-    if len(parts) == len(LOSSES) and all(0 < low <= value <= high for value, low, high in parts):
-        size = math.hypot(*(value * math.log(high / low) / 2 for value, low, high in parts))
-        spread = math.exp(size / sum(value for value, _, _ in parts))
-        by_slider["loss"] = [1 / spread, spread]
-    return by_slider
+    intervals = {}
+    for slider, law in SLIDERS.items():
+        if law in values and _is_positive(values[law]):
+            low, high = values[law].interval
+            intervals[slider] = (low / values[law].value, high / values[law].value)
+    if "p" in values:
+        low, high = values["p"].interval
+        intervals["p"] = (low - values["p"].value, high - values["p"].value)
+    losses = [values[law] for law in LOSSES if law in values]
+    if len(losses) == len(LOSSES) and all(map(_is_positive, losses)):
+        errors = (loss.value * math.log(loss.interval[1] / loss.interval[0]) / 2 for loss in losses)
+        spread = math.exp(math.hypot(*errors) / sum(loss.value for loss in losses))
+        intervals["loss"] = (1 / spread, spread)
+    return intervals
+
+
+def _is_positive(value: Value) -> bool:
+    """Return whether a value lies in its interval, and all are above zero."""
+    return 0 < value.interval[0] <= value.value <= value.interval[1]
 
 
 def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0]) -> dict[str, Any]:
     """Encode one key for `prepare.js`.
 
-    Raises `ParameterError` for a felt law other than Hunt-Crossley and the power law.
+    Raises
+    ------
+    ParameterError
+        For a felt law other than Hunt-Crossley and the power law.
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(
@@ -121,39 +137,41 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
     entry: dict[str, Any] = {
         part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != "v_H0"}
         for part in ("string", "hammer", "geometry")
-    } | {
-        "quantity": note.quantity, "gain": float(note.gain), "damper": damper_rate(midi),
-        "compression": reference_compression(midi),
-    }  # fmt: skip
+    }
+    entry |= {"quantity": note.quantity, "gain": float(note.gain)}
+    entry |= {"damper": damper_rate(midi), "compression": reference_compression(midi)}
     if note.ringing is not None:
-        entry["ringing"] = _ringing(note.ringing.scale_gain(float(note.gain)), knocks)
+        entry["modal_response"] = _modal_response(note.ringing.scale_gain(float(note.gain)), knocks)
     elif note.path is not None:
         f = note.path.frequency
         entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db), "decay": _base64(note.path.decay_at(f))}
     return entry
 
 
-def _ringing(ringing: ModalResponse, knocks: KnockEncoding) -> dict[str, Any]:
+def _modal_response(response: ModalResponse, knocks: KnockEncoding) -> dict[str, Any]:
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
-    knock, rate = ringing.knock[:CHANNELS], ringing.rate
+    knock, rate = response.knock[:CHANNELS], response.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
-        knock = resample(knock, ringing.rate, rate)
+        knock = resample(knock, response.rate, rate)
     return {
-        "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
-        "pattern": _rows(ringing.pattern[:CHANNELS]),
-        "participation": _participation(ringing),
-        "rate": rate, "bits": knocks.bits, "knock": [_quantise(row, knocks.bits) for row in knock],
-    }  # fmt: skip
+        "decay": _base64(-np.real(response.pole)),
+        "omega": _base64(np.imag(response.pole), "<f8"),
+        "modal_amplitudes": _rows(response.pattern[:CHANNELS]),
+        "velocity_gain": _velocity_gain(response),
+        "rate": rate,
+        "bits": knocks.bits,
+        "knock": [_quantise(row, knocks.bits) for row in knock],
+    }
 
 
-def _participation(ringing: ModalResponse) -> dict[str, Any] | None:
+def _velocity_gain(response: ModalResponse) -> dict[str, Any] | None:
     """Encode velocity gains as 16-bit integers with a scale. With many strokes they dominate the size of the modes."""
-    part = ringing.velocity_gain
-    if part is None:
+    gain = response.velocity_gain
+    if gain is None:
         return None
-    scale = max(float(np.abs([np.real(part.factor), np.imag(part.factor)]).max()), 1e-30) / (2**15 - 1)
-    return {"velocity": part.velocity.tolist(), "scale": scale, "strokes": _rows(part.factor / scale, "<i2")}
+    scale = max(float(np.abs([np.real(gain.factor), np.imag(gain.factor)]).max()), 1e-30) / (2**15 - 1)
+    return {"velocity": gain.velocity.tolist(), "scale": scale, "strokes": _rows(gain.factor / scale, "<i2")}
 
 
 def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:

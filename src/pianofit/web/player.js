@@ -167,9 +167,9 @@ class Player {
   /** Document of a key with its current changes; see note.js. */
   noteOf(midi, velocity, isChanged) {
     const { note, recorded } = this.keys.get(midi);
-    const claims = `${note} of ${this.name || "a piano"}, ${recorded ? "recorded" : "a guess"}, as the page plays it, ` +
+    const origin = `${note} of ${this.name || "a piano"}, ${recorded ? "recorded" : "a guess"}, as the page plays it, ` +
       `${isChanged ? "changed by hand" : "unchanged"}. Not a fit: intervals are in the instrument and its fits.`;
-    return this.noteDocument(this.now[midi], { velocity, rate: RATE, claims });
+    return this.noteDocument(this.now[midi], { velocity, rate: RATE, origin });
   }
 
   /** Apply changes to a key. Only changes of the hammer need no new table. */

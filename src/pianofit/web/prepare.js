@@ -39,22 +39,26 @@ const SCALE_BLOCK = 256; // samples of a knock that share a scale, see payload.p
 
 /** Decode an entry of payload.py to a key for `prepare`. */
 export function decode(entry) {
-  const { path, ringing, ...key } = entry, pair = ({ re, im }) => ({ re: numbers(re), im: numbers(im) });
+  const { path, modal_response: encoded, ...key } = entry;
   if (path) key.path = Object.fromEntries(Object.entries(path).map(([name, text]) => [name, numbers(text)]));
-  if (ringing) {
-    const knock = ({ scale, whole }) => {
-      const scales = numbers(scale), integers = numbers(whole, ringing.bits === 8 ? Int8Array : Int16Array);
-      return integers.map((x, n) => x * scales[Math.floor(n / SCALE_BLOCK)]);
-    };
-    const pole = { re: numbers(ringing.decay).map((x) => -x), im: numbers(ringing.omega, Float64Array) };
-    const encoded = ringing.participation;
-    const factors = (text) => numbers(text, Int16Array).map((x) => x * encoded.scale);
-    const participation = encoded && { velocity: encoded.velocity,
-      strokes: encoded.strokes.map(({ re, im }) => ({ re: factors(re), im: factors(im) })) };
-    key.ringing = { pole, pattern: ringing.pattern.map(pair), participation, knock: ringing.knock.map(knock),
-      rate: ringing.rate };
-  }
+  if (encoded) key.modal_response = decodeResponse(encoded);
   return key;
+}
+
+function decodeResponse({ decay, omega, modal_amplitudes, velocity_gain, knock, bits, rate }) {
+  const pair = (column) => ({ re, im }) => ({ re: column(re), im: column(im) });
+  const gain = (text) => numbers(text, Int16Array).map((x) => x * velocity_gain.scale);
+  const samples = ({ scale, whole }) => {
+    const scales = numbers(scale), integers = numbers(whole, bits === 8 ? Int8Array : Int16Array);
+    return integers.map((x, n) => x * scales[Math.floor(n / SCALE_BLOCK)]);
+  };
+  return {
+    pole: { re: numbers(decay).map((x) => -x), im: numbers(omega, Float64Array) },
+    modal_amplitudes: modal_amplitudes.map(pair(numbers)),
+    velocity_gain: velocity_gain && { velocity: velocity_gain.velocity, strokes: velocity_gain.strokes.map(pair(gain)) },
+    knock: knock.map(samples),
+    rate,
+  };
 }
 
 /** Σ_k Re(amplitude_k z_k^n), n < count, with z = exp(logZ). */
@@ -244,17 +248,17 @@ function stringResponse(key, t, pole, path, rate, ratio) {
 }
 
 /** Measured response of a key, from the force on the string to the file. */
-function measuredResponse({ ringing }, rate) {
-  const below = Array.from(ringing.pole.im.keys()).filter((k) => ringing.pole.im[k] < Math.PI * rate);
+function measuredResponse({ modal_response: measured }, rate) {
+  const below = Array.from(measured.pole.im.keys()).filter((k) => measured.pole.im[k] < Math.PI * rate);
   const column = (values) => Float64Array.from(below, (k) => values[k]);
   const chosen = ({ re, im }) => ({ re: column(re), im: column(im) });
-  const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), logZ = logZOf(pole, rate);
-  const participation = ringing.participation && { ...ringing.participation,
-    strokes: ringing.participation.strokes.map(chosen) };
+  const pole = chosen(measured.pole), gain = measured.modal_amplitudes.map(chosen), logZ = logZOf(pole, rate);
+  const velocityGain = measured.velocity_gain && { ...measured.velocity_gain,
+    strokes: measured.velocity_gain.strokes.map(chosen) };
   // The lead is padded to whole blocks, because dampers move at the beginning of blocks.
   const knockLead = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(knockLead / BLOCK), padding = lead - knockLead;
-  const kernel = ringing.knock.map((x) => delayed(padding, resample(x, ringing.rate, rate)));
-  const response = { pole, logZ, gain, participation, kernel, ratio: 1, lead, padding, edge: EDGE };
+  const kernel = measured.knock.map((x) => delayed(padding, resample(x, measured.rate, rate)));
+  const response = { pole, logZ, gain, velocityGain, kernel, ratio: 1, lead, padding, edge: EDGE };
   return { ...response, ...excite(response, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
 }
 
@@ -289,10 +293,10 @@ function cancelStaticDeflection({ logZ, lead }, added, knock) {
   return out;
 }
 
-/** The response to a stroke at `velocity`, m/s: modes take part in it with their velocity gain. */
+/** The response to a stroke at `velocity`, m/s: the modes have their velocity gain. */
 export function atVelocity(response, velocity) {
-  if (!response.participation) return response;
-  const { velocity: measured, strokes } = response.participation, last = measured.length - 1;
+  if (!response.velocityGain) return response;
+  const { velocity: measured, strokes } = response.velocityGain, last = measured.length - 1;
   const above = measured.findIndex((v) => v >= velocity), high = above < 0 ? last : above, low = Math.max(high - 1, 0);
   const isOutside = high === low || above < 0;
   const share = isOutside ? 1 : Math.log(velocity / measured[low]) / Math.log(measured[high] / measured[low]);
@@ -308,14 +312,15 @@ export function atVelocity(response, velocity) {
  * All tables that the engine needs of a key at a rate, Hz.
  *
  * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H}, geometry: {length, mass, strike_position, width,
- * pickup}, quantity, gain, damper, path?: {frequency, db, decay}, ringing?: {pole, pattern: [channel], knock: [channel], rate,
- * participation?: {velocity, strokes}}}. `pole` and the elements of `pattern` and `strokes` are {re, im}. Patterns are
- * in file units per N s.
+ * pickup}, quantity, gain, damper, path?: {frequency, db, decay}, modal_response?: {pole, modal_amplitudes: [channel],
+ * knock: [channel], rate, velocity_gain?: {velocity, strokes}}}. `pole` and the elements of `modal_amplitudes` and
+ * `strokes` are {re, im}. Amplitudes are in file units per N s.
  */
 export function prepare(key, rate) {
   const ratio = contactRatio(key.string, key.geometry, rate), t = modeTable(key, rate * ratio);
   const path = key.path ? applyToModes(key.path, t.pole) : null;
-  const pole = path ? { re: path.decay.map((x) => -x), im: t.pole.im } : t.pole, isMeasured = Boolean(key.ringing);
+  const pole = path ? { re: path.decay.map((x) => -x), im: t.pole.im } : t.pole;
+  const isMeasured = Boolean(key.modal_response);
   const response = isMeasured ? measuredResponse(key, rate) : stringResponse(key, t, pole, path, rate, ratio);
   const pairs = ["unit", "excitation", "pole"].map((name) => [name, firstModes(t[name], t.modes)]);
   const columns = ["strikeWeight", "mass", "omega2"].map((name) => [name, t[name].slice(0, t.modes)]);

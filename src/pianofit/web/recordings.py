@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import FitError, ParameterError
-from ..instrument.collect_fits import Layer
-from ..instrument.document import Instrument
+from ..instrument import Instrument
 from ..io.files import encode_pcm, printable
 from ..model.note import Note
 from ..playback.voice import CHANNELS
 from ..recording.recording import load_recording
 from ..report.sound import excerpt
+from ..schema.instrument import Layer
 
 __all__ = ["recorded_layers"]
 
@@ -32,27 +32,23 @@ def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
 
     Each sound begins at the same time before the hammer contact as the computed sound of its key.
 
-    Raises `FitError` if the instrument has no layers, or a recording is missing or was changed. Raises `ParameterError`
-    if the layers are too large.
+    Raises
+    ------
+    FitError
+        If the instrument has no layers, or a recording is missing or was changed.
+    ParameterError
+        If the layers are too large.
     """
-    if not any(instrument.layers.values()):
-        raise FitError("--recordings: the fits name no recordings; give the folder that pianofit batch wrote")
     sounds = {
-        midi: [_read(layer, instrument.notes[midi]) for layer in layers] for midi, layers in instrument.layers.items()
+        midi: [(layer, *_read(layer, key.note)) for layer in key.fit.layers]
+        for midi, key in instrument.keys.items()
+        if key.fit and key.fit.layers
     }
+    if not sounds:
+        raise FitError("--recordings: the fits name no recordings; give the folder that pianofit batch wrote")
     size = 0
     for seconds in LENGTHS:
-        encoded = {
-            midi: [
-                {
-                    "name": printable(Path(layer.file).name),
-                    "velocity": layer.velocity,
-                    "flac": _encode(*sound, seconds),
-                }
-                for layer, sound in zip(instrument.layers[midi], sounds[midi], strict=True)
-            ]
-            for midi in sounds
-        }
+        encoded = {midi: [_encode(*sound, seconds) for sound in own] for midi, own in sounds.items()}
         size = sum(len(layer["flac"]) for layers in encoded.values() for layer in layers)
         if size <= ROOM:
             return encoded
@@ -73,9 +69,10 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     return np.pad(samples, ((0, 0), (max(-begin, 0), 0)))[:, max(begin, 0) :], recording.rate
 
 
-def _encode(samples: np.ndarray, rate: int, seconds: float) -> str:
+def _encode(layer: Layer, samples: np.ndarray, rate: int, seconds: float) -> dict[str, Any]:
     """Encode the first seconds with a fade-out and the peak at full scale. The page matches loudness itself."""
     factor = math.ceil(rate / HIGHEST_RATE)
     kept = excerpt(samples, rate, 0.0, seconds, factor)
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)
-    return base64.b64encode(encode_pcm(kept, round(rate / factor), "flac", 16)).decode()
+    flac = base64.b64encode(encode_pcm(kept, round(rate / factor), "flac", 16)).decode()
+    return {"name": printable(Path(layer.file).name), "velocity": layer.velocity, "flac": flac}

@@ -9,9 +9,8 @@ import functools
 import json
 from typing import Any
 
-from ..conversions import midi_of
+from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import ParameterError
-from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 from ..io.table_output import require_optional
 from ..model.note import Note
 from .payload import encode_note
@@ -23,7 +22,10 @@ __all__ = ["front_end", "note_payload", "widget"]
 def widget(note: Note) -> Any:
     """Return a widget that plays `note`.
 
-    Raises `ParameterError` if anywidget is not installed, or a page cannot play the felt law of the note.
+    Raises
+    ------
+    ParameterError
+        If anywidget is not installed, or a page cannot play the felt law of the note.
     """
     return _widget_class()(instrument=note_payload(note))
 
@@ -57,6 +59,7 @@ def note_payload(note: Note) -> dict[str, Any]:
     f0 = float(note.f0)
     midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)
     return {
-        "name": "a note in Python", "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
-        "keys": [{"midi": midi, "note": f"{f0:.2f} Hz", "recorded": True} | encode_note(note, midi)],
-    }  # fmt: skip
+        "name": "a note in Python",
+        "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
+        "keys": [{"midi": midi, "note": f"{f0:.2f} Hz", "recorded": True, **encode_note(note, midi)}],
+    }

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from ..instrument.document import Instrument
-from ..instrument.text import unrecorded_text
+from ..instrument import Instrument
 from ..report import html
 from .payload import KnockEncoding, encode_instrument
 from .recordings import recorded_layers
@@ -31,14 +30,10 @@ PACKAGE = "pianofit.web"
 
 
 class PageSummary(NamedTuple):
-    """Contents of the written page."""
+    """Contents of the written page, in addition to the keys of the instrument."""
 
-    keys: int
-    recorded: int
-    between: int  # keys that are guesses, between recorded keys
-    beyond: int  # keys that are guesses, beyond the recorded range
     knocks: KnockEncoding | None  # encoding of knocks, if the instrument has any
-    layers: int  # recordings in the page
+    layers: int  # recordings
 
 
 def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> PageSummary:
@@ -46,32 +41,48 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
 
     Parameters
     ----------
+    path : HTML file to write.
+    instrument : instrument to play.
     recordings : include every recorded layer for comparison with its key, in addition to the 1.5 MB.
 
-    Raises `ParameterError` for a felt law that a page cannot play, or an instrument or recordings that are too large.
-    Raises `FitError` if requested recordings are missing, and `OutputError` if `path` cannot be written.
+    Returns
+    -------
+    The encoding of the knocks, and the number of recordings.
+
+    Raises
+    ------
+    ParameterError
+        For a felt law that a page cannot play, or an instrument or recordings that are too large.
+    FitError
+        If requested recordings are missing.
+    OutputError
+        If `path` cannot be written.
+
+    Examples
+    --------
+    >>> from pianofit.instrument import load_instrument
+    >>> from pianofit.web import write_page
+    >>> write_page("piano.html", load_instrument("batch", prefix="cp80"))
+    PageSummary(knocks=None, layers=0)
     """
-    between, beyond = instrument.unrecorded_counts
-    document, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
-    content: dict[str, Any] = {
-        "instrument": document,
-        "modules": {"engine": engine_source(), "worklet": script_source("worklet.js")},
-        "recorded": sum(key["recorded"] for key in document["keys"]),
-        "guesses": unrecorded_text(between, beyond) + _changed(len(instrument.changed)),
-        "layers": recorded_layers(instrument) if recordings else {},
-    }  # fmt: skip
+    payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
+    layers = recorded_layers(instrument) if recordings else {}
+    changed = len(instrument.changed)
+    by_hand = f"; {changed} {'was' if changed == 1 else 'were'} changed by hand" if changed else ""
     html.write_page(
-        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",),
-        scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS, title=instrument.name or "Piano", **content,
-    )  # fmt: skip
-    return PageSummary(
-        len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
+        path,
+        "page.html.j2",
+        package=PACKAGE,
+        styles=("keyboard.css",),
+        scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS,
+        title=instrument.name or "Piano",
+        instrument=payload,
+        modules={"engine": engine_source(), "worklet": script_source("worklet.js")},
+        recorded=len(instrument.recorded),
+        guesses=instrument.guesses + by_hand,
+        layers=layers,
     )
-
-
-def _changed(count: int) -> str:
-    """End of the sentence about guesses, if keys were changed by hand."""
-    return f"; {count} {'was' if count == 1 else 'were'} changed by hand" if count else ""
+    return PageSummary(knocks, sum(map(len, layers.values())))
 
 
 def engine_source() -> str:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import fftconvolve, resample_poly
 
-from ...instrument.document import Instrument
+from ...instrument import Instrument
 from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
 from ...playback.repeated_strike import StringTables, strike_string, string_tables
@@ -75,14 +75,14 @@ class KeyTables(NamedTuple):
     force: LowRankSignals  # N, at `RATE`, from `MARGIN` + EDGE samples before the contact
     knock: tuple[np.ndarray, np.ndarray, np.ndarray]  # file units, at `RATE`, from LEAD before contact: `_factorise`
     stroke: np.ndarray  # index of the measured stroke at each velocity, interpolated [velocities]
-    participation: np.ndarray  # velocity gain at the measured strokes, real and imaginary, integer [2, strokes, modes]
-    participation_scale: float
+    velocity_gain: np.ndarray  # at the measured strokes, real and imaginary, integer [2, strokes, modes]
+    velocity_gain_scale: float
     left_out: int  # number of modes that were left out
 
     @property
     def numbers(self) -> int:
         """Number of table entries, without the knock."""
-        modes = 2 * (self.pole.size + self.pattern.size) + self.participation.size
+        modes = 2 * (self.pole.size + self.pattern.size) + self.velocity_gain.size
         return modes + self.force.numbers + self.stroke.size
 
 
@@ -99,7 +99,7 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
     force = np.stack([np.pad(x, (MARGIN, size - len(x) + MARGIN)) for x in forces])
-    pole, pattern, measured, participation = _modes(note, table)
+    pole, pattern, measured, velocity_gain = _modes(note, table)
     excitation = force @ np.exp(-np.outer(np.arange(force.shape[1]) - FILTER_REACH - MARGIN, pole) / RATE) / RATE
     kept = _loudest(excitation, pole, pattern, most_modes)
     factors = _factorise(force[None], _basis(force, excitation[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
@@ -108,12 +108,18 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     kept_pattern = pattern[:channels, kept]
     if len(pattern) == 1:
         kept_pattern = np.broadcast_to(kept_pattern, (channels, len(kept)))
-    part = participation[:, kept]
-    integers, scale = _quantise(np.stack([np.real(part), np.imag(part)]), BITS, (0, 1, 2))
+    own_gain = velocity_gain[:, kept]
+    integers, scale = _quantise(np.stack([np.real(own_gain), np.imag(own_gain)]), BITS, (0, 1, 2))
     return KeyTables(
-        pole[kept], kept_pattern, _quantise_factors(factors, BITS), _knock(note, force, velocities, channels),
-        stroke_index, integers, float(scale.item()), int(len(pole) - len(kept)),
-    )  # fmt: skip
+        pole=pole[kept],
+        pattern=kept_pattern,
+        force=_quantise_factors(factors, BITS),
+        knock=_knock(note, force, velocities, channels),
+        stroke=stroke_index,
+        velocity_gain=integers,
+        velocity_gain_scale=float(scale.item()),
+        left_out=len(pole) - len(kept),
+    )
 
 
 def _modes(note: Note, table: StringTables) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -123,14 +129,13 @@ def _modes(note: Note, table: StringTables) -> tuple[np.ndarray, np.ndarray, np.
     """
     if note.ringing is not None:
         response = note.ringing.scale_gain(note.gain).at(RATE)
-        pole, pattern, part = response.pole, response.pattern, response.velocity_gain
+        pole, pattern, gain = response.pole, response.pattern, response.velocity_gain
     else:
-        pole, pattern = table.pole, table.drive[None] * table.rate
-        part = None
+        pole, pattern, gain = table.pole, table.drive[None] * table.rate, None
         if table.path is not None:
             pattern = pattern * _gain(table.path, pole)
     inside = (np.imag(pole) > 0) & (np.imag(pole) < BAND * np.pi * RATE)
-    velocity, factor = (np.ones(1), np.ones((1, len(pole)))) if part is None else part
+    velocity, factor = (np.ones(1), np.ones((1, len(pole)))) if gain is None else gain
     return pole[inside], pattern[:, inside], velocity, factor[:, inside]
 
 

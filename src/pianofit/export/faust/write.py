@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ParameterError
-from ...instrument.document import Instrument
+from ...instrument import Instrument
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice, damper_rate
@@ -21,7 +21,7 @@ from ..layers import LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
 
-__all__ = ["MODES", "FaustSummary", "write_faust"]
+__all__ = ["FaustSummary", "write_faust"]
 
 # Largest number of resonators per voice: 16 voices then use a quarter of one core, see benchmarks/faust.py.
 MODES = 128
@@ -46,13 +46,40 @@ class FaustSummary(NamedTuple):
 
 @one_blas_thread()
 def write_faust(
-    path: str | os.PathLike[str], instrument: Instrument, keys: Sequence[int], *, licence: str | None = None,
+    path: str | os.PathLike[str],
+    instrument: Instrument,
+    keys: Sequence[int],
+    *,
+    licence: str | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
-) -> FaustSummary:  # fmt: skip
-    """Write `path`, a .dsp, completely or not at all. The loudest stroke of the loudest key peaks at -1 dBFS.
+) -> FaustSummary:
+    """Write a Faust program, completely or not at all. The loudest stroke of the loudest key peaks at -1 dBFS.
 
-    Raises `ParameterError` for a key that the instrument lacks, a felt law that cannot be played, or tables that are
-    too large. Raises `OutputError` if `path` cannot be written.
+    Parameters
+    ----------
+    path : file to write, whose name ends in .dsp.
+    instrument : as `load_instrument` returns it.
+    keys : MIDI keys to tabulate, ascending. The others are transposed from the nearest one.
+    licence : licence of the source, in the words of the user.
+    progress : called with the name of the step and the finished fraction.
+
+    Returns
+    -------
+    Numbers of keys, resonators and table entries, the rate of the knocks, and the common gain.
+
+    Raises
+    ------
+    ParameterError
+        For a key that the instrument lacks, a felt law that cannot be played, or tables that are too large.
+    OutputError
+        If `path` cannot be written.
+
+    Examples
+    --------
+    >>> from pianofit.export.faust import write_faust
+    >>> from pianofit.instrument import load_instrument
+    >>> write_faust("piano.dsp", load_instrument("batch", prefix="cp80"), [60, 64]).unrecorded
+    0
     """
     if not keys:
         raise ParameterError("keys=[]: give the MIDI keys to tabulate")
@@ -66,17 +93,36 @@ def write_faust(
         progress("tables", 0.98 * (i + 1) / len(keys))
     gain = PEAK_LIMIT / peak if peak > 0 else 1.0
     rate, knocks, numbers = _fit_knocks(key_tables)
+    definitions = [*_key_tables(keys, key_tables, channels, gain)]
+    if rate:
+        definitions += _knock_tables(knocks, channels, gain)
     modes = max(len(key.pole) for key in key_tables)
-    definitions = [
-        *_key_tables(keys, key_tables, channels, gain),
-        *(_knock_tables(knocks, channels, gain) if rate else ()),
-    ]
-    text = _text(instrument, definitions, key_tables, channels, rate, licence)
-    replace_file(path, text.encode())
+    program = Template(asset("instrument.dsp", "pianofit.export.faust")).substitute(
+        name=_quoted(instrument.name or "piano"),
+        licence=_quoted(licence or "not given"),
+        channels=channels,
+        groups=-(-modes // GROUP),
+        group=GROUP,
+        velocities=len(VELOCITIES),
+        rate=RATE,
+        rank=max(len(key.force.scale) for key in key_tables),
+        knock_rank=KNOCK_SHAPES,
+        knock_rate=rate or RATE,
+        margin=MARGIN,
+        touch=_digits(max(instrument.pre_onset_s - FILTER_REACH / RATE, 0.0) - MARGIN / RATE),
+        tables="\n".join(definitions),
+        knock="+(knock(c))" if rate else "_",
+    )
+    replace_file(path, program.encode())
     return FaustSummary(
-        len(keys), len(instrument.unrecorded_keys(keys)), modes, sum(key.left_out for key in key_tables), rate, numbers,
-        20 * math.log10(gain),
-    )  # fmt: skip
+        keys=len(keys),
+        unrecorded=len(instrument.unrecorded(keys)),
+        modes=modes,
+        omitted_modes=sum(key.left_out for key in key_tables),
+        knock_rate=rate,
+        table_entries=numbers,
+        gain_db=20 * math.log10(gain),
+    )
 
 
 def _fit_knocks(key_tables: Sequence[KeyTables]) -> tuple[int | None, list[LowRankSignals], int]:
@@ -91,29 +137,6 @@ def _fit_knocks(key_tables: Sequence[KeyTables]) -> tuple[int | None, list[LowRa
         return None, [], size
     raise ParameterError(
         f"{len(key_tables)} keys need {size:,} table entries, more than {MOST_NUMBERS:,}; choose fewer --keys"
-    )
-
-
-def _text(
-    instrument: Instrument, definitions: Sequence[str], key_tables: Sequence[KeyTables], channels: int,
-    knock_rate: int | None, licence: str | None,
-) -> str:  # fmt: skip
-    modes = max(len(key.pole) for key in key_tables)
-    return Template(asset("instrument.dsp", "pianofit.export.faust")).substitute(
-        name=_quoted(instrument.name or "piano"),
-        licence=_quoted(licence or "not given"),
-        channels=channels,
-        groups=-(-modes // GROUP),
-        group=GROUP,
-        velocities=len(VELOCITIES),
-        rate=RATE,
-        rank=max(len(key.force.scale) for key in key_tables),
-        knock_rank=KNOCK_SHAPES,
-        knock_rate=knock_rate or RATE,
-        margin=MARGIN,
-        touch=_digits(max(instrument.pre_onset_s - FILTER_REACH / RATE, 0.0) - MARGIN / RATE),
-        tables="\n".join(definitions),
-        knock="+(knock(c))" if knock_rate else "_",
     )
 
 
@@ -132,12 +155,12 @@ def _key_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], channels: 
         pattern = gain * np.concatenate([key.pattern[c] for key in key_tables])
         yield _table(f"mode_re({c})", np.real(pattern))
         yield _table(f"mode_im({c})", np.imag(pattern))
-    yield _table("stroke_count", [len(key.participation) for key in key_tables])
+    yield _table("stroke_count", [len(key.velocity_gain) for key in key_tables])
     yield _table("stroke_of_velocity", np.concatenate([key.stroke for key in key_tables]))
-    yield _table("part_scale", [key.participation_scale for key in key_tables])
-    yield _table("part_begin", _begins([key.participation[0] for key in key_tables]))
+    yield _table("part_scale", [key.velocity_gain_scale for key in key_tables])
+    yield _table("part_begin", _begins([key.velocity_gain[0] for key in key_tables]))
     for c, name in enumerate(("part_re", "part_im")):
-        yield _table(name, np.concatenate([key.participation[c].ravel() for key in key_tables]))
+        yield _table(name, np.concatenate([key.velocity_gain[c].ravel() for key in key_tables]))
     forces = [key.force for key in key_tables]
     yield from _shapes("force", forces)
     yield _table("force_shape", np.concatenate([force.shape[0].T.ravel() for force in forces]))

@@ -1,0 +1,167 @@
+"""A playable instrument: the note of every key, and what its fits and keyboard laws report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from ..analysis.note_names import midi_to_note
+from ..errors import ParameterError
+from ..io.number_format import counted
+from ..model.note import Note
+from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, Value, VelocityCurve
+
+__all__ = ["KEY_STATES", "Instrument", "Key"]
+
+# States of a key, and what they mean.
+KEY_STATES: dict[KeyState, str] = {
+    "fitted": "values of its own fit",
+    "pulled": "own fit combined with its neighbours, because some values were uncertain",
+    "outlier": "disagrees with its neighbours in the listed parameters; the interpolated values are used",
+    "interpolated": "never recorded, between recorded keys",
+    "extrapolated": "never recorded, beyond the recorded keys",
+    "changed": "changed by hand on the page to play",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """One key of an instrument.
+
+    Parameters
+    ----------
+    note : the note, with any hammer velocity.
+    state : one of `KEY_STATES`.
+    values : values with 95 % intervals by name of the law.
+    fit : the fit of a recorded key.
+    changes : changes by slider of the page to play.
+    is_interpolated : whether the modal response of the note follows from the nearest recorded keys.
+    """
+
+    note: Note
+    state: KeyState | None = None
+    values: Mapping[str, Value] = field(default_factory=dict)
+    fit: FitSummary | None = None
+    changes: Mapping[str, float] | None = None
+    is_interpolated: bool = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Instrument:
+    """A playable instrument.
+
+    Parameters
+    ----------
+    name : name of the instrument.
+    keys : keys by MIDI number.
+    velocity : hammer velocity over MIDI velocity.
+    laws : keyboard laws by name.
+    warnings : limitations, such as outliers.
+
+    Examples
+    --------
+    Three keys with typical parameters of a grand piano:
+
+    >>> import pianofit
+    >>> from pianofit.instrument import Instrument, Key
+    >>> presets = {midi: pianofit.typical(midi) for midi in (60, 64, 67)}
+    >>> keys = {
+    ...     midi: Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
+    ...     for midi, it in presets.items()
+    ... }
+    >>> Instrument("grand", keys).note(60, velocity=64).hammer.v_H0
+    1.3
+    """
+
+    name: str
+    keys: Mapping[int, Key]
+    velocity: VelocityCurve = field(default_factory=VelocityCurve)
+    laws: Mapping[str, KeyboardLaw] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Instrument({self.name!r}, {counted(len(self.keys), 'key')}, {len(self.recorded)} recorded)"
+
+    @property
+    def quantity(self) -> str:
+        """Recorded quantity."""
+        return next(iter(self.keys.values())).note.quantity
+
+    @property
+    def channels(self) -> int:
+        """Number of channels: the largest of all keys."""
+        return max(1 if key.note.ringing is None else key.note.ringing.channels for key in self.keys.values())
+
+    @property
+    def pre_onset_s(self) -> float:
+        """Longest time from the begin of a sound to its contact, s."""
+        return max(key.note.pre_onset_s for key in self.keys.values())
+
+    @property
+    def recorded(self) -> list[int]:
+        """Keys with a fit. The others follow from the laws."""
+        return sorted(midi for midi, key in self.keys.items() if key.fit is not None)
+
+    @property
+    def changed(self) -> list[int]:
+        """Keys that were changed by hand on the page to play."""
+        return sorted(midi for midi, key in self.keys.items() if key.state == "changed")
+
+    def unrecorded(self, keys: Iterable[int]) -> list[int]:
+        """Return those of these MIDI keys that were never recorded."""
+        return sorted(set(keys) - set(self.recorded))
+
+    @property
+    def unrecorded_counts(self) -> tuple[int, int]:
+        """Numbers of keys that were never recorded: between recorded keys, and beyond them."""
+        recorded, unrecorded = self.recorded, self.unrecorded(self.keys)
+        between = sum(recorded[0] < midi < recorded[-1] for midi in unrecorded) if recorded else 0
+        return between, len(unrecorded) - between
+
+    @property
+    def guesses(self) -> str:
+        """Text on the keys that were never recorded. Their values are guesses."""
+        between, beyond = self.unrecorded_counts
+        parts = [f"{n} {where}" for n, where in ((between, "between recorded keys"), (beyond, "beyond them")) if n]
+        if not parts:
+            return "none is a guess"
+        return f"{between + beyond} {'is a guess' if between + beyond == 1 else 'are guesses'}: {', '.join(parts)}"
+
+    def note(self, midi: int, velocity: float) -> Note:
+        """Return the note of a key, struck at a MIDI velocity.
+
+        Parameters
+        ----------
+        midi : MIDI number of the key.
+        velocity : MIDI velocity, 1 to 127.
+
+        Raises
+        ------
+        ParameterError
+            If the instrument does not have this key.
+        """
+        if midi not in self.keys:
+            span = f"{midi_to_note(min(self.keys))} to {midi_to_note(max(self.keys))}"
+            raise ParameterError(f"key {midi} is not on this instrument; it has {span}")
+        return self.keys[midi].note.with_velocity(self.velocity.at(velocity))
+
+    @property
+    def state_counts(self) -> dict[KeyState, int]:
+        """Numbers of keys by state, without states that no key has."""
+        states = [key.state for key in self.keys.values()]
+        return {state: count for state in KEY_STATES if (count := states.count(state))}
+
+    def summary(self) -> str:
+        """Return a summary in a few lines: states of the keys, keyboard laws, MIDI velocity and warnings."""
+        lines = [
+            f"{self.name or 'instrument'}: {counted(len(self.recorded), 'key')} recorded: "
+            + ", ".join(f"{count} {state}" for state, count in self.state_counts.items()),
+            "",
+            f"{'':26}{'key scatter':>14}{'smooth over':>12}   outliers",
+        ]
+        for name, law in self.laws.items():
+            label = f"{'tuning' if name == 'cents' else name}{f', {law.unit}' if law.unit not in ('', '1') else ''}"
+            scatter = f"{law.scatter:.2g} cents" if law.scale == "linear" else f"{100 * law.scatter:.2g} %"
+            lines.append(f"{label:26}{scatter:>14}{law.length_keys:>7.0f} keys   {', '.join(law.outliers) or '-'}")
+        lines += ["", f"MIDI velocity 64 is {self.velocity.at_64:.3g} m/s, from: {self.velocity.source}"]
+        return "\n".join([*lines, *self.warnings])

@@ -1,0 +1,150 @@
+"""Quantities of a key that a recording determines. Each has a law over the keyboard.
+
+Lengths and masses are mostly assumed, and recordings determine only some combinations of parameters (invariants). The
+laws use those, so that an assumption does not appear as a difference between keys.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ..conversions import hertz_of, midi_of
+from ..literature import PICKUP, typical
+from ..model.note import Note
+from ..parameters import PARAMETERS, Geometry, Hammer, String
+from .laws import Prior
+
+__all__ = [
+    "LAW_QUANTITIES",
+    "LawQuantity",
+    "is_force",
+    "key_quantities",
+    "literature",
+    "note_from_quantities",
+    "reference_compression",
+]
+
+# Hammer velocity of the reference compression, m/s.
+REFERENCE_VELOCITY = 2.0
+
+
+@dataclass(frozen=True)
+class LawQuantity:
+    """One quantity over the keyboard. Standard deviations are those of its logarithm, or of cents."""
+
+    title: str
+    unit: str
+    prior: Prior  # of an instrument from the literature. Chosen once, after the spreads of initial values.
+    default_sd: float = 0.1  # of a value without an interval; small for given values
+    # A key keeps the value of its fit: it is given, or a recording determines it much better than a law.
+    keeps_fit: bool = False
+    scale: Literal["linear", "log"] = "log"  # on which the law is smooth
+
+    def scaled(self, values: Any) -> np.ndarray:
+        """Return values on the scale of the law."""
+        return np.asarray(values) if self.scale == "linear" else np.log(values)
+
+    def unscaled(self, values: Any) -> Any:
+        """Return values from the scale of the law."""
+        return values if self.scale == "linear" else np.exp(values)
+
+
+LAW_QUANTITIES = {
+    "cents": LawQuantity(
+        "tuning: f₀ relative to equal temperament", "cents", Prior(20.0, 15.0, 10.0), 3.0, True, "linear"
+    ),
+    "B": LawQuantity("inharmonicity B", "1", Prior(0.7, 0.5, 0.5)),
+    "b1": LawQuantity("loss parameter b₁, the same for all partials", "1/s", Prior(0.7, 0.5, 0.6)),
+    "d2": LawQuantity("loss d₂ = b₂π²/L², growing with k²", "1/s", Prior(1.0, 0.7, 0.8)),
+    "M_H/M_S": LawQuantity("hammer mass over string mass M_H/M_S", "1", Prior(0.6, 0.4, 0.5)),
+    "K/M_S": LawQuantity("felt force at the reference compression over string mass", "N/kg", Prior(1.5, 1.0, 1.0)),
+    "p": LawQuantity("felt exponent p", "1", Prior(0.2, 0.1, 0.15)),
+    "mu": LawQuantity("felt loss coefficient μ", "s/m", Prior(1.2, 0.5, 0.8)),
+    "x0/L": LawQuantity("strike position x₀/L", "1", Prior(0.2, 0.2, 0.2), 1e-2),
+    "width/L": LawQuantity("width of the contact window over L", "1", Prior(0.3, 0.3, 0.3), 0.3),
+    "L": LawQuantity("string length L", "m", Prior(0.3, 0.3, 0.2), 1e-3, True),
+    "M_S/L": LawQuantity("string mass per metre M_S/L", "kg/m", Prior(0.5, 0.3, 0.3), 1e-3, True),
+    "pickup/L": LawQuantity("pickup position x_m/L", "1", Prior(0.5, 0.3, 0.2), 1e-3, True),
+    "gain": LawQuantity(
+        "gain of the loudest recording (times M_S for bridge force and pressure)", "", Prior(3.0, 1.5, 1.0)
+    ),
+}
+
+
+def is_force(quantity: str) -> bool:
+    """Return True if the recorded quantity is proportional to the string mass."""
+    return quantity in ("bridge-force", "pressure")
+
+
+def reference_compression(midi: float) -> float:
+    """Return u_ref, m: the largest compression of the literature's hammer that a rigid string stops from 2 m/s."""
+    h = typical(midi).hammer
+    return float((0.5 * (h.p + 1) * h.M_H * REFERENCE_VELOCITY**2 / h.K_H) ** (1 / (h.p + 1)))
+
+
+def key_quantities(note: Note, midi: int) -> dict[str, float]:
+    """Return the `LAW_QUANTITIES` of a note.
+
+    They are the deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s),
+    ratios to string mass and length, the felt force at u_ref over the string mass (N/kg), p, μ (s/m), and the gain,
+    times M_S for bridge force and pressure.
+    """
+    s, h, g = note.string, note.hammer, note.geometry
+    return {
+        "cents": 100 * (midi_of(note.f0) - midi),
+        "B": note.B,
+        "b1": s.b1,
+        "d2": s.b2 * (math.pi / g.length) ** 2,
+        "M_H/M_S": h.M_H / g.mass,
+        "K/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
+        "p": h.p,
+        "mu": h.mu,
+        "x0/L": g.strike_position / g.length,
+        "width/L": g.width / g.length,
+        "L": g.length,
+        "M_S/L": g.mass / g.length,
+        "pickup/L": g.pickup / g.length,
+        "gain": abs(note.gain) * (g.mass if is_force(note.quantity) else 1.0),
+    }
+
+
+def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note:
+    """Return the note with these `LAW_QUANTITIES`, clipped to `PARAMETERS`, struck at `REFERENCE_VELOCITY`."""
+    length = at["L"]
+    mass = at["M_S/L"] * length
+    c = 2 * length * hertz_of(midi + at["cents"] / 100)
+    strike = at["x0/L"] * length
+    string = {
+        "c": c,
+        "kappa": c * length * math.sqrt(at["B"]) / math.pi,
+        "b1": at["b1"],
+        "b2": at["d2"] * (length / math.pi) ** 2,
+    }
+    hammer = {
+        "K_H": at["K/M_S"] * mass / reference_compression(midi) ** at["p"],
+        "mu": at["mu"],
+        "p": at["p"],
+        "M_H": at["M_H/M_S"] * mass,
+        "v_H0": REFERENCE_VELOCITY,
+    }
+    # The contact window stays on the string.
+    width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
+    geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
+    gain = at["gain"] / (mass if is_force(quantity) else 1.0)
+    return Note(String(**_clipped(string)), Hammer(**_clipped(hammer)), geometry, quantity, gain)
+
+
+def _clipped(values: dict[str, float]) -> dict[str, float]:
+    return {n: float(np.clip(x, PARAMETERS[n].lower, PARAMETERS[n].upper)) for n, x in values.items()}
+
+
+def literature(midi: int) -> dict[str, float]:
+    """Return the `LAW_QUANTITIES` of the literature's key. Its gain is arbitrary."""
+    it = typical(midi)
+    width = min(it.geometry.width, 0.1 * it.geometry.length)
+    geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
+    return key_quantities(Note(it.string, it.hammer, geometry, "velocity", 1.0), midi)

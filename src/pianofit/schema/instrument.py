@@ -1,0 +1,273 @@
+"""Content of an `instrument.json`: frozen records whose fields are the keys of the file.
+
+The room `instrument` uses the same records in memory. Only notes have another form there.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
+from ..errors import FitError, ParameterError
+from ..io.files import printable
+from ..model.note import Note
+from ..model.simulate import check_geometry
+from ..parameters import PARAMETERS, Geometry, Hammer, String, check
+from .decode import Number, convert, load_json
+from .fit import PathEntry, PickupQuantity
+from .modal_response import ModalResponseEntry
+
+__all__ = [
+    "INSTRUMENT_FILE",
+    "FitSummary",
+    "InstrumentFile",
+    "KeyEntry",
+    "KeyState",
+    "KeyboardLaw",
+    "Layer",
+    "OwnFit",
+    "PartialDecay",
+    "Value",
+    "ValueState",
+    "VelocityCurve",
+    "read_instrument_file",
+]
+
+INSTRUMENT_FILE = "instrument.json"
+INSTRUMENT_SCHEMA = 3
+# Largest instrument.json, bytes.
+LARGEST_INSTRUMENT = 2**25
+HINT = "give the instrument.json that pianofit instrument wrote"
+
+V_H0 = PARAMETERS["v_H0"]
+HammerVelocity = Annotated[float, Meta(ge=V_H0.lower, le=V_H0.upper)]
+Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
+# Longest recording in a file, s.
+ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
+KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
+# How the value of a law was made from the fit of a recorded key.
+ValueState = Literal["fitted", "pulled", "outlier"]
+# The state of a key. The values of a changed key were set by hand on the page to play.
+KeyState = Literal["fitted", "pulled", "outlier", "interpolated", "extrapolated", "changed"]
+
+
+@dataclass(frozen=True)
+class VelocityCurve:
+    """Hammer velocity over MIDI velocity. Its logarithm is linear. The default is for keys without layers."""
+
+    at_64: HammerVelocity = 1.3  # m/s
+    rise: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.5  # of the logarithm, from 64 to 127
+    source: Literal["layers", "default", "page"] = "default"
+    layers: tuple[tuple[Number, Number], ...] = ()  # MIDI velocity and hammer velocity of each recorded layer
+
+    def at(self, midi_velocity: float) -> float:
+        """Return the hammer velocity, m/s, at a MIDI velocity from 1 to 127."""
+        velocity = self.at_64 * math.exp(self.rise * (midi_velocity - 64) / 63)
+        return float(np.clip(velocity, V_H0.lower, V_H0.upper))
+
+
+@dataclass(frozen=True)
+class KeyboardLaw:
+    """One quantity over the 88 keys."""
+
+    unit: str
+    scale: Literal["linear", "log"]  # on which the law is smooth
+    literature: np.ndarray | None  # [88]
+    value: np.ndarray
+    low: np.ndarray  # ends of the 95 % interval
+    high: np.ndarray
+    scatter: Number  # standard deviation of single keys on the scale of the law
+    length_keys: Number  # over which the law is smooth
+    outliers: tuple[str, ...]  # names of keys
+
+    def __post_init__(self) -> None:
+        rows = [self.value, self.low, self.high, *([] if self.literature is None else [self.literature])]
+        if {row.shape for row in rows} != {(HIGHEST_KEY - LOWEST_KEY + 1,)}:
+            raise ValueError("Expected a value for each of the 88 keys")
+
+
+@dataclass(frozen=True)
+class OwnFit:
+    """A value in the fit of its key."""
+
+    value: Number
+    interval: tuple[Number, Number]  # 95 %
+    state: ValueState
+    z: Number  # deviation from the prediction of all other keys, in standard deviations
+
+
+@dataclass(frozen=True)
+class Value:
+    """A quantity of one key."""
+
+    value: Number  # as played
+    interval: tuple[Number, Number]  # 95 %
+    law: Number | None = None
+    own_fit: OwnFit | None = None  # of a recorded key
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One recording that a key was fitted to."""
+
+    file: str
+    sha256: str  # of its bytes
+    contact: ContactTime  # time at which the hammer touches the string, s
+    velocity: HammerVelocity
+
+
+@dataclass(frozen=True)
+class PartialDecay:
+    """Beating and double decay of one partial."""
+
+    partial: int
+    late_over_early: Number | None  # ratio of the T60 of the late and the early decay
+    split_cents: Number | None  # of the two modes that interfere most
+
+
+@dataclass(frozen=True)
+class FitSummary:
+    """The fit of a recorded key. An instrument that was saved from a page has no details."""
+
+    file: str = ""
+    recordings: int = 0
+    levels_db: Number | None = None  # rms error of the levels of the partials
+    converged: bool = True
+    velocities: tuple[Number, ...] = ()  # of the recordings, ascending, m/s
+    layers: tuple[Layer, ...] = ()  # soft to loud
+    partials: tuple[PartialDecay, ...] = ()  # the lowest
+
+
+@dataclass(frozen=True)
+class StringEntry:
+    """Coefficients of a string."""
+
+    c: Number
+    kappa: Number
+    b1: Number
+    b2: Number
+
+
+@dataclass(frozen=True)
+class HammerEntry:
+    """A hammer without its velocity."""
+
+    K_H: Number
+    mu: Number
+    p: Number
+    M_H: Number
+
+
+@dataclass(frozen=True)
+class GeometryEntry:
+    """Sizes of a string."""
+
+    length: Number
+    mass: Number
+    strike_position: Number
+    width: Number
+    pickup: Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyEntry:
+    """One key."""
+
+    midi: KeyNumber
+    note: str = ""
+    state: KeyState | None = None
+    string: StringEntry
+    hammer: HammerEntry
+    geometry: GeometryEntry
+    gain: Gain
+    path: PathEntry | None = None
+    # `neighbours` if the response follows from the nearest recorded keys.
+    modal_response: ModalResponseEntry | Literal["neighbours"] | None = None
+    values: dict[str, Value] = field(default_factory=dict)  # by name of the law
+    changes: dict[str, Number] | None = None  # by slider of the page: factors, and a difference of p
+    fit: FitSummary | None = None  # of a recorded key
+
+    @classmethod
+    def of(cls, midi: int, played: Note, *, is_interpolated: bool, **entries: Any) -> KeyEntry:
+        """Return the entry of a key. An interpolated modal response is left out."""
+        response = "neighbours" if is_interpolated else None
+        if played.ringing is not None and not is_interpolated:
+            response = ModalResponseEntry.of(played.ringing, embed_knock=True)
+        path, hammer = played.path, {n: float(getattr(played.hammer, n)) for n in HammerEntry.__dataclass_fields__}
+        return cls(
+            midi=midi,
+            string=StringEntry(*map(float, played.string)),
+            hammer=HammerEntry(**hammer),
+            geometry=GeometryEntry(*map(float, played.geometry)),
+            gain=float(played.gain),
+            path=None if path is None else PathEntry(path.frequency, path.db, path.decay_at(path.frequency)),
+            modal_response=response,
+            **entries,
+        )
+
+    def playable(self, quantity: str, where: str) -> Note:
+        """Return the note, without an interpolated modal response.
+
+        Raises
+        ------
+        FitError
+            If a value is out of range. The message begins with `where`.
+        """
+        geometry = Geometry(**vars(self.geometry))
+        try:
+            check(vars(self.string) | vars(self.hammer), where)
+            check_geometry(geometry, quantity)
+        except ParameterError as error:
+            raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+        response = self.modal_response
+        return Note(
+            String(**vars(self.string)),
+            Hammer(**vars(self.hammer), v_H0=2.0),  # each stroke sets its own velocity
+            geometry,
+            quantity,
+            self.gain,
+            None if self.path is None else self.path.output_path,
+            response.response(None, where) if isinstance(response, ModalResponseEntry) else None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentFile:
+    """A whole instrument."""
+
+    schema: int = INSTRUMENT_SCHEMA
+    program: str = "pianofit"
+    kind: Literal["instrument"] = "instrument"
+    name: str = ""
+    quantity: PickupQuantity
+    velocity: VelocityCurve
+    laws: dict[str, KeyboardLaw] = field(default_factory=dict)
+    keys: Annotated[tuple[KeyEntry, ...], Meta(min_length=1, max_length=HIGHEST_KEY - LOWEST_KEY + 1)]
+    warnings: tuple[str, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        numbers = [key.midi for key in self.keys]
+        if twice := {number for number in numbers if numbers.count(number) > 1}:
+            raise ValueError(f"keys has two entries with midi = {min(twice)}")
+
+
+def read_instrument_file(path: str | os.PathLike[str]) -> InstrumentFile:
+    """Read an `instrument.json`.
+
+    Raises
+    ------
+    FitError
+        If the file is not an instrument of this schema. The message names the file and the entry.
+    """
+    content = load_json(path, Any, LARGEST_INSTRUMENT, "an instrument.json", HINT)
+    is_table = isinstance(content, dict)
+    if not is_table or (content.get("kind"), content.get("schema")) != ("instrument", INSTRUMENT_SCHEMA):
+        raise FitError(f"{printable(path)}: is not an instrument of schema {INSTRUMENT_SCHEMA}; {HINT}")
+    return convert(content, InstrumentFile, printable(path), HINT)
