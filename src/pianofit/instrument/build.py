@@ -58,7 +58,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     Raises
     ------
     ParameterError
-        If there is no fit.
+        Without any fit.
 
     Examples
     --------

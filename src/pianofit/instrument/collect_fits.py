@@ -19,6 +19,7 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..io.files import printable
+from ..io.number_format import log_half_width
 from ..model.decay import decays_and_beats
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
@@ -68,7 +69,7 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     Raises
     ------
     FitError
-        If there is no fit, or if the folders hold several instruments and `prefix` names none of them.
+        Without any fit, or if the folders hold several instruments and `prefix` names none of them.
 
     Examples
     --------
@@ -248,7 +249,7 @@ def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, floa
 
 def _log_sd(quantity: Quantity | None) -> float | None:
     """Return the standard deviation of the logarithm of a quantity; None without an interval."""
-    half = None if quantity is None else quantity.log_half_width
+    half = None if quantity is None else log_half_width(quantity.interval)
     return None if half is None else half / HALF_WIDTH_95
 
 
