@@ -37,8 +37,7 @@ from measuring import into_page
 if TYPE_CHECKING:
     from coverage_twins import Values
 
-    from pianofit.inference import FitProblem
-    from pianofit.inference.refine import Minima
+    from pianofit.inference import FitProblem, Minima
 
 KINDS = ("demo", "model", "brute-force", "same-window")
 # Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
@@ -127,12 +126,13 @@ def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocitie
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
     from pianofit.errors import FitError
-    from pianofit.inference.refine import refine
+    from pianofit.inference.estimate import refine
+    from pianofit.inference.objective import Objective
 
     best = minima.candidates.take(np.array([0]))
     z = point_of(problem, best.theta[0], true, velocities)
     try:
-        end = refine(problem, z[None], best.phi, best.w)
+        end = refine(Objective.complete(problem), z[None], best.phi, best.w)
     except FitError:
         return None
     return float(minima.nll.min() - end.nll[0])

@@ -18,7 +18,7 @@ from crossval import folders, notes
 from scipy.optimize import minimize
 
 from pianofit import analyse, load_recording
-from pianofit.inference import build_problem, map_estimate
+from pianofit.inference import FitProblem, build_problem, map_estimate
 from pianofit.inference.likelihood import objective
 from pianofit.model.program_cache import enable_program_cache
 from pianofit.model.x64 import x64_scope
@@ -27,11 +27,11 @@ from pianofit.model.x64 import x64_scope
 FEWEST = 12
 
 
-def residual_of(fit) -> float:
+def residual_of(problem: FitProblem) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    level, table = fit.minima.candidates.level, fit.minima.optimiser.table
+    level, table = map_estimate(problem).minima.candidates.level, problem.observed.level
     phi, w, residual = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual))
 
     def F(x: np.ndarray) -> float:
@@ -55,7 +55,7 @@ def main() -> None:
             partials = int((np.asarray(problem.observed.level.detected).sum(axis=0) > 1).sum())
             if partials < FEWEST or not problem.structure.path_identifiable:
                 continue
-            tau = residual_of(map_estimate(problem))
+            tau = residual_of(problem)
             taus.append(tau)
             print(f"{key:24} {partials:3d} partials  τ {tau:5.2f} dB", flush=True)
     if not taus:

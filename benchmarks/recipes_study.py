@@ -27,7 +27,7 @@ from pianofit.bensa2005.recipes import fit_by_paper
 from pianofit.bensa2005.search import make_search, split
 from pianofit.criterion import band_values, damping_for
 from pianofit.criterion import measure as energies
-from pianofit.inference.initial_values import starting_values
+from pianofit.inference import starting_values
 from pianofit.model import simulate
 from pianofit.model.program_cache import enable_program_cache
 from pianofit.parameters import FIT_NAMES

@@ -133,29 +133,29 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     """
     import pianofit
     from pianofit.inference import build_problem
-    from pianofit.inference.batched_model import BATCH_SIZE, level_jacobians, levels, run_in_batches
+    from pianofit.inference.batched_model import BATCH_SIZE, level_jacobians, run_in_batches
     from pianofit.inference.derivatives import evaluate_batch
-    from pianofit.inference.map_estimate import fit_string
-    from pianofit.inference.optimiser import LEVELS, Optimiser
-    from pianofit.inference.prescreen import PRESCREEN_BATCH_SIZE, initial_hyperparameters, sobol_samples
+    from pianofit.inference.estimate import fit_string
+    from pianofit.inference.multistart import initial_hyperparameters, sobol_samples
+    from pianofit.inference.objective import Objective
 
     recordings = [pianofit.load_recording(x) for x in files]
     problem = build_problem(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
-    string = fit_string(problem).theta[0, :4]
-    held = Optimiser(problem, string, LEVELS)
-    z = sobol_samples(held, 0)
-    many, some = held.model_inputs_of(z), held.model_inputs_of(z)[:BATCH_SIZE]
-    people = held.initialise(z[:POINTS], [initial_hyperparameters(held)])
-    at = people.level.residual, people.level.jacobian, people.level.phi, people.level.w
+    string, table = fit_string(problem).theta[0, :4], problem.observed.level
+    held = Objective.of_levels(problem, string)
+    model, z = held.level_model, sobol_samples(held, 0)
+    many, some = model.strokes(z), model.strokes(z)[:BATCH_SIZE]
+    people = held.start(z[:POINTS], [initial_hyperparameters(table)])
+    at = people.level[:4]
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
-        "modes": held.cfg.n_modes, "steps": int(held.model_inputs.steps),
+        "modes": model.cfg.n_modes, "steps": int(model.inputs.steps),
         "partials": int(np.asarray(problem.observed.level.detected).sum()),
     }  # fmt: skip
     return {
-        HAMMERS: lambda: run_in_batches(levels, (string, many), held.model_inputs, held.cfg, PRESCREEN_BATCH_SIZE),
-        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), held.model_inputs, held.cfg),
-        OBJECTIVE: lambda: evaluate_batch(held.table, *at),
+        HAMMERS: lambda: model.levels(many),
+        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), model.inputs, model.cfg),
+        OBJECTIVE: lambda: evaluate_batch(table, *at),
     }, sizes
 
 

@@ -13,9 +13,8 @@ from matplotlib.image import imsave
 
 from pianofit import Result, fit
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
-from pianofit.report.build import reference_curves
 from pianofit.report.drawing import LINES, legend, page_style
-from pianofit.report.figures import draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.report.figures import attack_waves, draw_attack, draw_levels, draw_loop, draw_spectrum
 
 PICTURE = Path(__file__).with_name("picture.png")
 
@@ -31,7 +30,6 @@ def main() -> None:
 
 def picture(result: Result) -> bytes:
     """A PNG of 1400 × 900 pixels: spectra, attack, partial levels and the felt's loop."""
-    curves = reference_curves(result)
     with page_style():
         figure = Figure(figsize=(14, 9))
         spectra, attack, levels, loop = (
@@ -39,14 +37,15 @@ def picture(result: Result) -> bytes:
             for bottom in (0.58, 0.10)
             for left, width in ((0.05, 0.42), (0.55, 0.43))
         )
-        draw_spectrum(spectra, curves, tuple(result.document["criterion"]["dropped"]))
+        draw_spectrum(spectra, result)
         spectra.set(title="Spectra and the bands of the fit")
-        draw_attack(attack, curves, "fitted")
-        attack.plot(curves.attack_ms, curves.attack["initial"], label="initial", **LINES["initial"])
+        draw_attack(attack, result, "fitted")
+        ms, waves = attack_waves(result)
+        attack.plot(ms, waves["initial"], label="initial", **LINES["initial"])
         attack.set(title="Attack", xlabel="time from the onset (ms)")
-        draw_levels(levels, curves)
+        draw_levels(levels, result.fit.reference.partials)
         levels.set(title="Levels of the partials", xlabel="partial number")
-        draw_loop(loop, curves)
+        draw_loop(loop, result)
         loop.set(title="Felt: force over compression")
         legend(figure, attack)
         figure.set_dpi(100)

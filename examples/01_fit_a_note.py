@@ -34,7 +34,7 @@ def main() -> None:
 
     # The fit. `result.save(folder)` writes what `pianofit fit` writes.
     result = pianofit.fit(recording, analyses=[analysis], setup=setup)
-    print(result.claims)
+    print(result.identifiability_statement)
     for name, estimate in result.invariants.items():
         span = "none: given" if estimate.interval is None else "[{:.5g}, {:.5g}]".format(*estimate.interval)
         print(f"{name:8} {estimate.value:.5g} {estimate.unit}, 95 % interval {span}")
@@ -47,7 +47,7 @@ def main() -> None:
     for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
         velocity = factor * note.hammer.v_H0
         samples, strike = note.with_velocity(velocity).render_stroke(recording.rate, 2 * recording.rate)
-        Path(name).write_bytes(pianofit.encode_wav(samples, recording.rate))
+        pianofit.write_wav(name, samples, recording.rate)
         print(f"{name}: {velocity:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
 
 

@@ -8,8 +8,6 @@ partials decay in the two milliseconds before the wave reaches the pickup, which
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +38,7 @@ def record(seed: int = 0) -> pianofit.Recording:
     sound = np.pad(note, (round(LEAD * RATE), 0))
     sound += np.random.default_rng(seed).normal(0.0, noise, len(sound))
     sound /= 2 * np.abs(sound).max()
-    Path("pluck.wav").write_bytes(pianofit.encode_wav(sound, RATE))
+    pianofit.write_wav("pluck.wav", sound, RATE)
     return pianofit.load_recording("pluck.wav")
 
 

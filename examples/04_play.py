@@ -70,7 +70,7 @@ def main() -> None:
     write_prelude(Path("prelude.mid"), bars=len(BARS.split(",")))
     song = load_song("prelude.mid")
     done = render_song(instrument, song, rate=48_000)
-    Path("prelude.wav").write_bytes(pianofit.encode_wav(done.samples, 48_000))
+    pianofit.write_wav("prelude.wav", done.samples, 48_000)
     print(f"{song.notes} notes, {done.restrikes} of them on a string that still sounds")
     seconds = done.samples.shape[-1] / 48_000
     print(f"{seconds:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB")

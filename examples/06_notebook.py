@@ -28,7 +28,7 @@ print(result.parameters)
 hammer = result.invariants["M_H/M_S"]
 low, high = hammer.interval or (np.nan, np.nan)  # None if the value was not fitted
 print(f"{hammer.meaning}: {hammer.value:.4g}, 95 % interval {low:.4g} to {high:.4g}")
-print(f"K_H is {result.parameters.K_H.status}; {result.claims.splitlines()[0]}")
+print(f"K_H is {result.parameters.K_H.status}; {result.identifiability_statement.splitlines()[0]}")
 
 # %% Correlations of the parameters, and measured and fitted levels of the partials.
 result.plot.correlations().figure.savefig("correlations.png")

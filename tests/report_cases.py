@@ -1,30 +1,44 @@
-"""Curves and document of an invented fit, and a parser of the page, for the tests of the report."""
+"""An invented fit and its result, and a parser of the page, for the tests of the report."""
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from pianofit.model.decay import PartialDecay
-from pianofit.report.figure_data import (
-    Envelope,
-    Felt,
-    IdentifiabilityData,
-    ModalResponseCurves,
-    RecordingCurves,
-    Strokes,
-)
-from pianofit.report.figures import COMPARED, draw_figures
-from pianofit.report.page import FigureData
+from pianofit.analysis import Analysis, Partials
+from pianofit.felt import LAWS
+from pianofit.inference.parametrisation import names_of
+from pianofit.model import Simulation
+from pianofit.model.modal_response import ModalResponse
+from pianofit.model.note import Note
+from pianofit.model.output_path import OutputPath
+from pianofit.parameters import Geometry, Hammer, String
+from pianofit.recording.recording import Recording
+from pianofit.report.page import draw_figures
+from pianofit.result import FittedRecording, RenderedFit, Result
+from pianofit.result.cross_validation import CrossValidation, LeftOutRecording
+from pianofit.schema.decode import builtins_of, convert
+from pianofit.schema.fit import Criterion, Fit, LevelErrors
+from pianofit.schema.modal_response import FittedModalResponse
+from pianofit.schema.quantities import Quantities
 
 NAMES = ("original", "initial", "fitted")
 FORCE = "static force of the felt at 0.5 mm, at the reference velocity shown"
+F0, B, COUNT = 92.33, 2.3e-4, 40
+SHARED = names_of(LAWS["hunt-crossley"])
+ONSET_S = 0.03
 
 
-def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=0.03):
+# --- sounds and strokes -----------------------------------------------------------------------------------------------
+
+
+def sound(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=ONSET_S):
     """Return samples, and level in dB and decay of each partial: damped partials after `lead` seconds of silence."""
     k = np.arange(1, count + 1)
     frequency, decay = k * f0 * np.sqrt(1 + inharmonicity * k**2), 0.6 + 0.004 * k**2
@@ -33,169 +47,133 @@ def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, le
         level = level + np.random.default_rng(seed).normal(0, 3, count)
     kept = frequency < 0.45 * rate
     t = np.arange(round(seconds * rate)) / rate - lead
-    sound = np.zeros_like(t)
+    samples = np.zeros_like(t)
     for f, a, b in zip(frequency[kept], decay[kept], level[kept], strict=True):
-        sound += 10 ** (b / 20) * np.exp(-a * np.maximum(t, 0)) * np.sin(2 * np.pi * f * np.maximum(t, 0))
-    sound *= 0.25
-    sound += noise * np.random.default_rng(1).normal(size=len(t))
-    return sound, level, decay
+        samples += 10 ** (b / 20) * np.exp(-a * np.maximum(t, 0)) * np.sin(2 * np.pi * f * np.maximum(t, 0))
+    samples *= 0.25
+    samples += noise * np.random.default_rng(1).normal(size=len(t))
+    return samples, level, decay
 
 
-def pulse(ms, duration, depth, stiffness, exponent, loss):
-    """Return force in N and compression in mm of a felt (Hunt and Crossley) compressed by half a sine."""
-    phase = np.pi * ms / duration
-    u = np.where(ms <= duration, depth * np.sin(phase), 0.0)
-    rate = np.where(ms <= duration, 1e3 * depth * np.pi / duration * np.cos(phase), 0.0)
-    return np.maximum(stiffness * np.maximum(u, 0) ** exponent * (1 + loss * rate), 0), 1e3 * u
-
-
-def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=True):
-    """Return the curves of a fit of one string."""
-    B, k = 2.3e-4, np.arange(1, count + 1)
-    measured, level, decay = note(f0, B, count, 0.9, rate, seconds, seed=3, noise=1e-4)
-    initial, level_initial, _ = note(f0 * 1.001, 0.7 * B, count, 1.9, rate, seconds)
-    fitted, level_fitted, _ = note(f0, B, count, 0.95, rate, seconds)
-    t = np.arange(len(measured)) / rate
-    bins = np.arange(0, rate // 2, 3)  # Hz
-    bins = bins[(bins > 0.4 * f0) & (bins < (count + 1.5) * f0)]
-    damped = [np.fft.rfft((x * np.exp(-30 * t))[:rate], rate)[bins] for x in (measured, initial, fitted)]
-    spectra = [20 * np.log10(np.abs(x)) for x in damped]
-    attack = slice(round(0.028 * rate), round(0.06 * rate))
-    random = np.random.default_rng(5)
-    law = 1200 * np.log2(np.sqrt(1 + B * k**2))
+def stroke(duration, depth, stiffness, exponent, loss):
+    """Return a stroke whose felt (Hunt and Crossley) is compressed by half a sine; duration in ms, depth in m."""
     ms = np.linspace(0, 6, 500)
-    force_initial, compression_initial = pulse(ms, 2.6, 9e-4, 1.5e9, 2.55, 0.1)
-    force_fitted, compression_fitted = pulse(ms, 2.2, 6.5e-4, 5.2e9, 2.56, 0.2)
-    return FigureData(
-        bins.astype(float), dict(zip(COMPARED, spectra, strict=True)), (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
-        1e3 * (t[attack] - 0.03),
-        {"measured": measured[attack], "initial": initial[attack], "fitted": fitted[attack]},
-        k, law + random.normal(0, 0.6, count), np.full(count, 0.4), law,
-        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, decay,
-        {"measured": level, "initial": level_initial, "fitted": level_fitted}, np.full(count, 0.3),
-        3 * np.sin(k / 9) if path else None,
-        ms, {"initial": force_initial, "fitted": force_fitted},
-        {"initial": compression_initial, "fitted": compression_fitted},
-        rate, {"original": measured, "initial": quiet * initial, "fitted": fitted},
-    )  # fmt: skip
+    phase, touches = np.pi * ms / duration, ms <= duration
+    u = np.where(touches, depth * np.sin(phase), 0.0)
+    rate = np.where(touches, 1e3 * depth * np.pi / duration * np.cos(phase), 0.0)
+    force = np.maximum(stiffness * np.maximum(u, 0) ** exponent * (1 + loss * rate), 0)
+    pulse, modes = SimpleNamespace(force=force, compression=u), SimpleNamespace(step=1e-3 * ms[1])
+    return Simulation(modes, pulse, None)  # pyright: ignore[reportArgumentType]
 
 
-def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
-    """Return the same for several recordings, the first being that of the curves, with all optional parts."""
-    rate, k, level, random = curves.sound_rate, curves.number, curves.levels["measured"], np.random.default_rng(8)
-    seconds = len(curves.sounds["original"]) / rate
-    recordings = []
-    for place, velocity in enumerate(velocities, start=1):
-        sound = velocity / 4 * note(60.0 + 10 * place, 2e-4, 4, 1.0, rate, seconds)[0]
-        force, u = pulse(np.linspace(0, 3, 120), 2.5, 3e-4 * velocity, 5e9, 2.5, 0.1)
-        recordings.append(RecordingCurves(
-            place, velocity, 1.0 + 0.1 * place, k, level - 3 * place, np.full(len(k), 0.5),
-            level - 3 * place + random.normal(0, 1, len(k)), u, force, rate, 0.03, sound, 0.3 * sound[::-1],
-        ))  # fmt: skip
-    u = np.linspace(0.02, 1.0, 48)
-    law = 30 * u**2.5 * np.array([1.0, 0.8, 1.25])[:, None]
-    names = ("c", "kappa", "K_H", "mu", "p", "M_H")
-    correlation = np.corrcoef(random.normal(size=(len(names), 9)))
-    half_widths = (
-        ("f0", 1e-4, True),
-        ("F/M_S", 0.3, True),
-        ("v/v_ref 2", 0.1, True),
-        ("K_H", 9.0, False),
-        ("p", 0.1, False),
-    )
+def example_strokes(velocities=(3.2, 0.6, 1.5), count=7, rate=16_000, seconds=2.0):
+    """Return the sounds of the velocity slider by velocity, and True: these are within the recordings."""
     velocity = np.geomspace(min(velocities), max(velocities), count)
-    tones = [note(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
-    strokes = Strokes(
-        velocity, tuple(0.05 * v * x for v, x in zip(velocity, tones, strict=True)), rate, count - 1, True
-    )
-    return dataclasses.replace(
-        curves,
-        recordings=tuple(recordings),
-        reference_index=0,
-        paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
-        felt=Felt(u, law, 0.7 * law),
-        identifiability=IdentifiabilityData(names, correlation, half_widths),
-        strokes=strokes,
-    )
+    tones = [sound(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
+    return {v: 0.05 * v * x for v, x in zip(velocity.tolist(), tones, strict=True)}, True
 
 
-def with_ringing(curves):
-    """Return the same for a key with modes and knock, in stereo."""
-    time, frames = np.linspace(0.0, 3.0, 200), np.linspace(0.0, 3.0, 80, endpoint=False)
-    bands = np.geomspace(60.0, 6000.0, 24)
-    envelopes = tuple(
-        Envelope(k, 92.0 * k, time, -10 * k - 9 * time, -10 * k - 20 * time, -9.5 * k - 9 * time) for k in range(1, 7)
-    )
-    level = -20 - 8 * frames - np.arange(24)[:, None]
-    decays = (
-        PartialDecay(1, 92.331, 3, 4.25, 12.5, 0.75, 6.5, (0.0125, 0.25)),
-        PartialDecay(2, 184.9, 1, 3.0, 3.0, np.nan, np.nan, (0.02, 0.02)),
-    )
+# --- the result -------------------------------------------------------------------------------------------------------
 
-    def stereo(x):
-        return np.stack([x, 0.5 * np.roll(x, 9)])
 
-    return dataclasses.replace(
-        curves, sounds={"original": stereo(curves.sounds["original"]), "fitted": stereo(curves.sounds["fitted"]),
-                        "string model": curves.sounds["initial"]},
-        ringing=ModalResponseCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
+@functools.cache
+def example_recordings(
+    rate=16_000, seconds=2.0, count=COUNT, f0=F0, quiet=0.1, path=True, velocities=(4.0,), modes=False
+) -> tuple[FittedRecording, ...]:
+    """Return recordings of one string and their sounds, all equal except for velocity, sound and stroke."""
+    sizes = (rate, seconds, count, f0, quiet, path, modes)
+    return tuple(_fitted_recording(place, velocity, *sizes) for place, velocity in enumerate(velocities, start=1))
+
+
+def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, modes):
+    k = np.arange(1, count + 1)
+    measured, level, decay = sound(f0, B, count, 0.9, rate, seconds, seed=3, noise=1e-4)
+    initial, level_initial, _ = sound(f0 * 1.001, 0.7 * B, count, 1.9, rate, seconds)
+    fitted, level_fitted, _ = sound(f0, B, count, 0.95, rate, seconds)
+    if place > 1:
+        measured = velocity / 4 * sound(60.0 + 10 * place, 2e-4, 4, 1.0, rate, seconds)[0]
+        fitted = 0.3 * measured[::-1]
+    frequency = k * f0 * np.sqrt(1 + B * k**2)
+    note = Note(
+        String(2 * f0, 2 * f0 * np.sqrt(B) / np.pi, 0.6, 0.004 / np.pi**2),
+        Hammer(5.2e9, 0.2, 2.56, 5.687e-3, velocity), Geometry(1.0, 0.00618, 0.12, 0.02, 0.5), "bridge-force", 0.0123,
+        OutputPath(frequency, 3 * np.sin(k / 9), np.ones(count)) if path else None,
     )  # fmt: skip
+    random, square = np.random.default_rng(5), np.zeros((count, count))
+    cents = random.normal(0, 0.6, count)
+    partials = Partials(
+        k, frequency * 2 ** (cents / 1200), frequency * 0.4 * np.log(2) / 1200, square,
+        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, square, level, np.full(count, 0.3), square,
+        np.zeros(count), np.full(count, 40.0), np.zeros(count), np.zeros(0, int), np.zeros(0),
+    )  # fmt: skip
+    analysis = Analysis(
+        f0, 0.01, B, 1e-6, 0.6, 0.01, 0.004, 1e-4, partials, 0.5, 0.1, 4.31, (), np.ones(count), "F#2", ()
+    )
+    onset = round(ONSET_S * rate)
+    frames = np.stack([measured, 0.5 * np.roll(measured, 9)]) if modes else measured[None]
+    recording = Recording(
+        measured, frames, rate, onset, 1e-4, 0.0, 0, "cp80-Fs2-FF.flac", "ab" * 32, len(frames), "left", "PCM_16", ()
+    )
+    loops = stroke(2.6, 9e-4, 1.5e9, 2.55, 0.1), stroke(2.2, 1.6e-4 * velocity, 5.2e9, 2.56, 0.2)
+    sounds = (
+        RenderedFit(note, quiet * initial if place == 1 else initial, loops[0], level_initial),
+        RenderedFit(note, fitted, loops[1], level_fitted),
+    )
+    ringing = None
+    if modes:
+        stereo = np.stack([fitted, 0.5 * np.roll(fitted, 9)])
+        pole = -decay + 2j * np.pi * frequency
+        response = ModalResponse(k, pole, np.full(count, 0.1), np.ones((2, count), complex), np.zeros((2, 0)), rate)
+        ringing = RenderedFit(note._replace(ringing=response), stereo.mean(axis=0), loops[1], level_fitted, stereo)
+    criterion, errors = Criterion({}, (), 30.0, ()), LevelErrors(9.0, 1.0, None, count)
+    return FittedRecording(*sounds, level, recording, analysis, criterion, errors, ringing)
 
 
-def ringing_entry(by="modes and knock", left_out=(8.2, 3.9, 2.6)):
-    """Return the entry of `fit.json` for such a key."""
-    errors = dict(zip(("law", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
-    entry = {"by": by, "left_out_db": errors, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002}]}
-    modes = {"partial": [1, 1, 1, 2]}
-    return entry if by == "law" else entry | {"modes": modes, "pattern": [], "knock": None}
+def example_result(fit: Fit | None = None, recordings: tuple[FittedRecording, ...] = (), **sizes: Any) -> Result:
+    """Return a result with this fit, and with the recordings, which are made with `sizes` if none are given."""
+    fit = fit or example_fit()
+    sizes = {"velocities": tuple(row.v_H0 for row in fit.recordings)} | sizes
+    recordings = recordings or example_recordings(**sizes)
+    notes = tuple(fitted.final.note for fitted in recordings)
+    return Result(fit, recordings, (notes,) * max(len(fit.minima), 1))
 
 
-def fit_of_recordings(count=3, **changes):
-    """Return the document of a fit of several recordings."""
-    template = example_fit()["recordings"][0]
-    recordings = [
-        template | {"file": f"/a folder/recording-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
-               "first": i == 1, "cents": -0.5 * i, "group": i % 2, "levels": {"initial_db": 9.0, "fitted_db": 1.0 + i}}
-        for i in range(1, count + 1)
-    ]  # fmt: skip
-    ratios = {
-        f"v/v_ref {i}": {
-            "value": 1 / i,
-            "unit": "1",
-            "interval": [0.905 / i, 1.105 / i],
-            "note": f"/a folder/recording-{i}.flac",
-            "status": "fitted",
-        }
-        for i in range(2, count + 1)
-    }
-    fit = example_fit(recordings=recordings, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
-    return fit | {"invariants": fit["invariants"] | ratios} | changes
+def with_reference(result: Result, **changes: Any) -> Result:
+    """Return the result with changes of its reference recording."""
+    first, *others = result.recordings
+    return replace(result, recordings=(replace(first, **changes), *others))
 
 
-def minimum(share, above):
-    """Return one of several minima of the objective."""
-    parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
-    return {
-        "share": share,
-        "F": -120.5 + above,
-        "parameters": parameters,
-        "velocities": [4.0, 2.0, 4 / 3],
-        "path_db": None,
-    }
+# --- the fit ----------------------------------------------------------------------------------------------------------
 
 
-def example_held_out(count=3):
-    """Return the result of a cross-validation."""
-    rows = [
-        {"file": f"/a folder/recording-{i}.flac", "v_H0": 0.7 * i, "predicted_v_H0": 0.72 * i, "partials": 20 + i,
-         "predicted_db": 1.0 + 0.25 * i, "nearest_db": 3.0 + 0.5 * i, "blend_db": 0.875 if 1 < i < count else None,
-         "inner": 1 < i < count}
-        for i in range(1, count + 1)
-    ]  # fmt: skip
-    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625, "messages": []}
+def example_fit(content: dict[str, Any] | None = None, **changes: Any) -> Fit:
+    """Return the fit of one recording, or with this `content`."""
+    return convert((content or example_content()) | changes, Fit, "example", "")
 
 
-def example_fit(**changes):
+def levels_content(count=COUNT, offset=0.0):
+    """Return the compared levels of a recording."""
+    recorded, initial, fitted = (
+        (sound(F0, B, count, tilt, 100, 0.1, seed=seed)[1] + offset).tolist()
+        for tilt, seed in ((0.9, 3), (1.9, None), (0.95, None))
+    )
+    k = list(range(1, count + 1))
+    return {"number": k, "measured": recorded, "error": [0.3] * count, "initial": initial, "fitted": fitted}
+
+
+def covariance_content(strokes=1, free=("c", "kappa", "K_H", "p", "M_H"), size=0.01):
+    """Return a random covariance of the logarithms of the shared parameters, then of the velocities."""
+    names = (*SHARED, *("v_H0" if i == 1 else f"v_H0 {i}" for i in range(1, strokes + 1)))
+    factor = np.zeros((len(names), len(names)))
+    rows = [names.index(name) for name in free]
+    factor[np.ix_(rows, rows)] = np.random.default_rng(4).normal(0, size, (len(rows), len(rows)))
+    return {"names": list(names), "matrix": (factor @ factor.T).tolist()}
+
+
+def example_content() -> dict[str, Any]:
+    """Return the content of the `fit.json` of one recording."""
+
     def entry(value, unit, interval, status, initial, note=""):
         return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
 
@@ -203,16 +181,20 @@ def example_fit(**changes):
         return {"value": value, "unit": unit, "interval": interval, "note": note, "status": "fitted"}
 
     length = "scales with an assumed length of 1 m"
-    fit = {
-        "schema": 4,
-        "program": "pianofit",
-        "recipe": "default",
-        "felt": "hunt-crossley",
-        "seed": 0,
+    bands = {"global": (0.83, 0.059), "band1": (1.1, 0.02), "band2": (0.7, 0.08), "band3": (0.9, 0.9)}
+    criterion = {
+        "bands": {name: {"initial": initial, "final": final} for name, (initial, final) in bands.items()},
+        "excluded_bands": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0],
+    }  # fmt: skip
+    levels = {"initial_db": 12.31, "fitted_db": 2.64, "reference_hammer_db": 2.6, "partials": 40}
+    k = np.arange(1, COUNT + 1)
+    path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
+    return {
+        "schema": 5, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
-        "claims": "One uncalibrated recording does not determine the felt. A smooth unknown output path with a hammer "
-        "from the literature explains these levels as well.",
-        "messages": ["The string's length was not given.", "μ is at its upper bound."],
+        "identifiability_statement": "One uncalibrated recording does not determine the felt. A smooth unknown output "
+        "path with a hammer from the literature explains these levels as well.",
+        "warnings": ["The string's length was not given.", "μ is at its upper bound."],
         "invariants": {
             "f0": invariant(92.331, "Hz", [92.321, 92.341]),
             "B": invariant(2.3e-4, "1", [2.254e-4, 2.346e-4]),
@@ -234,34 +216,110 @@ def example_fit(**changes):
             "L": entry(1.0, "m", None, "assumed", None),
             "x0": entry(0.12, "m", None, "given", None),
         },
-        "recordings": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "channel": "left",
-            "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
-                   "v_H0_interval": [1.6, 10.0], "v_H0_status": "scaled", "gain": 0.0123, "gain_status": "fitted",
-                   "first": True, "cents": 0.0, "group": 0, "levels": {"initial_db": 12.31, "fitted_db": 2.64}}],
+        "recordings": [{
+            "file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "channel": "left", "rate": 44100, "onset_s": ONSET_S,
+            "v_H0": 4.0, "v_H0_interval": [1.6, 10.0], "v_H0_status": "scaled", "v_H0_initial": 4.0, "note": None,
+            "gain": 0.0123, "gain_status": "fitted", "is_reference": True, "pitch_offset_cents": 0.0, "path_group": 0,
+            "stroke": 0, "criterion": criterion, "levels": levels, "partials": levels_content(),
+        }],
+        "pickup": {"quantity": "bridge-force", "path": path},
         "minima": [],
-        "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
-                    "max_compression_mm": 0.65, "glide_cents": 4.31, "later_contacts": []},
-        "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},
-                      "band2": {"initial": 0.7, "final": 0.08}, "band3": {"initial": 0.9, "final": 0.9},
-                      "dropped": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0]},
-        "levels": {"initial_db": 12.31, "fitted_db": 2.64, "path_only_db": 2.6, "partials": 40},
-        "diagnostics": {"evaluations": 812, "correlated": []},
+        "covariance": covariance_content(),
+        "derived": {
+            "f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42, "recontacts": [],
+            "max_compression_mm": 0.65, "felt_force_N": 30.0, "glide_cents": 4.31, "glide": [],
+        },
+        "criterion": criterion,
+        "levels": levels,
+        "diagnostics": {"evaluations": 812, "partials": 40, "correlated": []},
         "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
     }  # fmt: skip
-    return fit | changes
 
 
-_DRAWN: dict = {}
+def content_of_recordings(count=3, velocities=(3.2, 0.6, 1.5)) -> dict[str, Any]:
+    """Return the content of the `fit.json` of several recordings in two path groups."""
+    content = example_content()
+    (template,), path = content["recordings"], content["pickup"]["path"]
+    velocities = [*velocities, *(4.0 + i for i in range(count))][:count]
+    content["recordings"] = [
+        template | {
+            "file": f"/a folder/recording-{i}.flac", "v_H0": v, "v_H0_interval": [0.9 * v, 1.1 * v],
+            "is_reference": i == 1, "pitch_offset_cents": -0.5 * i, "path_group": i % 2, "stroke": i - 1,
+            "levels": template["levels"] | {"initial_db": 9.0, "fitted_db": 1.0 + 0.1 * i},
+            "partials": levels_content(offset=-3.0 * i),
+        }
+        for i, v in enumerate(velocities, start=1)
+    ]  # fmt: skip
+    content["invariants"] |= {
+        f"v/v_ref {i}": {
+            "value": 1 / i, "unit": "1", "interval": [0.905 / i, 1.105 / i], "status": "fitted",
+            "note": f"/a folder/recording-{i}.flac",
+        }
+        for i in range(2, count + 1)
+    }  # fmt: skip
+    content["pickup"]["paths"] = {"0": path, "1": path | {"db": np.cos(np.arange(COUNT) / 5).tolist()}}
+    content["minima"] = [minimum(0.7, 0.0), minimum(0.3, 1.25)]
+    content["covariance"] = covariance_content(count)
+    return content
 
 
-def drawn_once(curves, dropped=(), held_out=()):
-    """Replace `draw_figures`: draw each set of curves once."""
-    key = id(curves), dropped, repr(held_out)
-    if key not in _DRAWN:
-        _DRAWN[key] = (
-            curves,
-            draw_figures(curves, dropped, held_out),
-        )  # the reference to the curves keeps their id unique
+def fit_of_recordings(count=3, **changes: Any) -> Fit:
+    """Return the fit of several recordings."""
+    return example_fit(content_of_recordings(count), **changes)
+
+
+def minimum(weight, above):
+    """Return one of several minima of the objective."""
+    parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
+    return {
+        "weight": weight, "negative_log_posterior": -120.5 + above, "parameters": parameters,
+        "velocities": [4.0, 2.0, 4 / 3], "path_db": None, "path_velocity_discrepancy": None,
+    }  # fmt: skip
+
+
+def response_content(render_model="modes and knock", left_out=(8.2, 3.9, 2.6)):
+    """Return the entry of the modal response of a key."""
+    errors = dict(zip(("string model", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
+    layers = [{"file": "/a folder/a.wav", "contact_s": 0.002}]
+    entry = {"render_model": render_model, "leave_one_out_db": errors, "layers": layers}
+    modes = {"partial": [1, 1, 1, 2], "frequency": [92.3, 92.4, 92.5, 184.9], "decay": [1.0, 2.0, 3.0, 1.0]}
+    response = {"modes": modes, "modal_amplitudes": [{"real": [1.0] * 4, "imag": [0.0] * 4}]}
+    return entry if render_model == "string model" else entry | {"response": response}
+
+
+def modal_response(*arguments: Any, **named: Any) -> FittedModalResponse:
+    """Return the same as a record."""
+    return convert(response_content(*arguments, **named), FittedModalResponse, "example", "")
+
+
+def quantities(**entries: dict[str, Any]) -> Quantities:
+    """Return a table of quantities from the entries of a file."""
+    return convert(entries, Quantities, "example", "")
+
+
+def example_held_out(count=3) -> CrossValidation:
+    """Return the result of a cross-validation."""
+    rows = tuple(
+        LeftOutRecording(
+            f"/a folder/recording-{i}.flac", 0.7 * i, 0.72 * i, 1.0 + 0.25 * i, 20 + i, 3.0 + 0.5 * i,
+            0.875 if 1 < i < count else None, 1 < i < count,
+        )
+        for i in range(1, count + 1)
+    )  # fmt: skip
+    return CrossValidation(rows, 1.5, 1.625, (), None)  # pyright: ignore[reportArgumentType]
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+_DRAWN: dict[Any, Any] = {}
+
+
+def drawn_once(result, held_out=None):
+    """Replace `draw_figures`: draw each fit with the same recordings once."""
+    texts = {"identifiability_statement": "", "warnings": (), "versions": {}, "recipe": "", "converged": True}
+    key = id(result.recordings), repr(builtins_of(replace(result.fit, **texts))), repr(held_out and held_out.recordings)
+    if key not in _DRAWN:  # the reference to the result keeps the id of its recordings unique
+        _DRAWN[key] = result, draw_figures(result, held_out)
     return _DRAWN[key][1]
 
 

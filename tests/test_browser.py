@@ -13,13 +13,12 @@ import pytest
 import soundfile as sf
 from report_cases import (
     NAMES,
-    example_curves,
     example_fit,
     example_held_out,
+    example_result,
+    example_strokes,
     fit_of_recordings,
-    ringing_entry,
-    with_recordings,
-    with_ringing,
+    response_content,
 )
 
 from pianofit.report.page import report_bytes
@@ -67,11 +66,17 @@ def sounds_of(path, player):
     return {name: sf.read(io.BytesIO(base64.b64decode(data)))[0] for name, data in links}
 
 
+def page_of(result, title, held_out=None, strokes=None):
+    """Return the page with these sounds of the velocity slider."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pianofit.report.page.strokes_of", lambda _: strokes or ({}, False))
+        return report_bytes(result, title, held_out)
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    curves = example_curves(rate=RATE, seconds=5.0)
     path = tmp_path_factory.mktemp("page") / "a page #1?.html"
-    path.write_bytes(report_bytes(example_fit(), curves, "</script>'\""))
+    path.write_bytes(page_of(example_result(rate=RATE, seconds=5.0), "</script>'\""))
     sounds = sounds_of(path, "note")
     assert tuple(sounds) == NAMES
     return path, sounds
@@ -116,7 +121,7 @@ def locate(block, sound):
 def test_page_opens_at_a_laptops_width_and_shows_its_pictures(page):
     assert page.evaluate("document.documentElement.scrollWidth") <= 1280
     sizes = page.evaluate(SIZES)
-    assert len(sizes) == 10
+    assert len(sizes) == 14
     assert all(natural > 500 and shown > 500 for natural, shown in sizes)
     assert page.locator("h1").inner_text() == "</script>'\""
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
@@ -261,9 +266,10 @@ VELOCITIES = (3.2, 0.6, 1.5)
 
 @pytest.fixture(scope="module")
 def report_of_recordings(tmp_path_factory):
-    curves = with_recordings(example_curves(rate=RATE, seconds=4.0, count=12), VELOCITIES)
+    result = example_result(fit_of_recordings(), rate=RATE, seconds=4.0)
+    strokes = example_strokes(VELOCITIES, rate=RATE, seconds=4.0)
     path = tmp_path_factory.mktemp("recordings") / "report.html"
-    path.write_bytes(report_bytes(fit_of_recordings(), curves, "three recordings", example_held_out()))
+    path.write_bytes(page_of(result, "three recordings", example_held_out(), strokes))
     return path
 
 
@@ -296,7 +302,7 @@ def test_page_of_recordings_fits_and_shows_all_its_pictures(recordings_page, wid
     recordings_page.set_viewport_size({"width": width, "height": 800})
     assert recordings_page.evaluate("document.documentElement.scrollWidth") <= width
     sizes = recordings_page.evaluate(SIZES)
-    assert len(sizes) == 18
+    assert len(sizes) == 19
     # The text of a picture is 13 pixels high, and at least two thirds of that on a telephone.
     assert all(shown > 0.65 * natural > 325 for natural, shown in sizes)
     assert recordings_page.locator("#seek").bounding_box()["y"] < 800, "the player is on the first screen"
@@ -361,8 +367,8 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
 @pytest.fixture(scope="module")
 def report_of_ringing(tmp_path_factory):
     path = tmp_path_factory.mktemp("ringing") / "report.html"
-    curves = with_ringing(example_curves(rate=RATE, seconds=5.0))
-    path.write_bytes(report_bytes(example_fit(ringing=ringing_entry()), curves, "a key that rings"))
+    fit = example_fit(modal_response=response_content())
+    path.write_bytes(page_of(example_result(fit, rate=RATE, seconds=5.0, modes=True), "a key that rings"))
     return path
 
 
@@ -376,7 +382,7 @@ def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of
     page.goto(report_of_ringing.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sizes = page.evaluate(SIZES)
-    assert len(sizes) == 19
+    assert len(sizes) == 23
     assert all(shown > 0.65 * natural > 325 for natural, shown in sizes)
     assert max(shown for *_, shown in sizes) - min(shown for *_, shown in sizes) <= 1
     page.evaluate(LISTEN, 0)

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,12 @@ import pytest
 import soundfile
 import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
+from report_cases import example_fit
 
 from pianofit.cli import app, main
-from pianofit.cli.summary import _recording_line
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.literature import PRESETS, preset
+from pianofit.report.summary import _recording_line
 
 PROGRAM = (sys.executable, "-m", "pianofit")
 AS_PROCESSES = (
@@ -325,10 +327,10 @@ def test_fit_writes_what_it_promises(fitted):
 
 
 def test_a_recording_is_named_with_the_channel_that_was_taken():
-    row = {"file": "far/a.wav", "first": True, "v_H0": 1.0, "gain": 1.0, "cents": 0.0,
-           "levels": {"initial_db": 9.0, "fitted_db": 1.0}}  # fmt: skip
-    assert _recording_line(row | {"channel": "left"}).startswith("a.wav (left) (the reference): 1 m/s")
-    assert _recording_line(row | {"channel": "average"}).startswith("a.wav (the reference): 1 m/s")
+    (row,) = example_fit().recordings
+    row = replace(row, file="far/a.wav", channel="left")
+    assert _recording_line(row).startswith("a.wav (left) (the reference): 4 m/s")
+    assert _recording_line(replace(row, channel="average")).startswith("a.wav (the reference): 4 m/s")
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):

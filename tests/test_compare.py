@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import dataclasses
 import functools
 import itertools
@@ -19,7 +18,10 @@ import pianofit
 from pianofit.cli import main
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import FitError, ParameterError
-from pianofit.report.build import felt_of
+from pianofit.report.static_law import static_law
+from pianofit.schema.decode import encode_json
+from pianofit.schema.fit import Fit
+from pianofit.schema.quantities import Quantities, Quantity
 
 
 @functools.cache
@@ -28,17 +30,32 @@ def fitted() -> pianofit.Result:
     return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
+def with_quantities(fit: Fit, **entries: Quantity) -> Fit:
+    """Return the fit with other entries in its tables."""
+    tables = {
+        table: Quantities(dict(getattr(fit, table)) | {n: q for n, q in entries.items() if n in getattr(fit, table)})
+        for table in ("parameters", "invariants")
+    }
+    return dataclasses.replace(fit, **tables)
+
+
+def with_row(fit: Fit, **changes: object) -> Fit:
+    """Return the fit with changes of its first recording."""
+    first, *others = fit.recordings
+    return dataclasses.replace(fit, recordings=(dataclasses.replace(first, **changes), *others))
+
+
 def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -> pianofit.Result:
     """Return the fit with values and intervals times `factor`, and with other statuses."""
-    document = copy.deepcopy(fitted().document)
-    document["recordings"][0]["sha256"] = "of another recording"
+    fit = with_row(fitted().fit, sha256="of another recording")
+    table = {**fit.invariants, **fit.parameters}
     for name in names:
-        table = document["parameters" if name in document["parameters"] else "invariants"]
-        table[name]["value"] *= factor
-        table[name]["interval"] = [factor * end for end in table[name]["interval"]]
+        low, high = table[name].interval
+        interval = (factor * low, factor * high)
+        table[name] = dataclasses.replace(table[name], value=factor * table[name].value, interval=interval)
     for name, status in statuses.items():
-        document["parameters"][name]["status"] = status
-    return dataclasses.replace(fitted(), document=document)
+        table[name] = dataclasses.replace(table[name], status=status)
+    return dataclasses.replace(fitted(), fit=with_quantities(fit, **table))
 
 
 def spread(name: str) -> float:
@@ -108,31 +125,34 @@ def test_one_assumption_of_both_is_comparable_and_two_are_not():
     scaled = {"L": "assumed", "c": "scaled", "M_S": "assumed", "M_H": "scaled"}
     one = changed(**scaled)
     assert pianofit.compare(one, changed(**scaled))["c"].z == 0
-    other = changed(**scaled)
-    other.document["parameters"]["L"]["value"] *= 1.001
-    found = pianofit.compare(one, other)
+    length = one.fit.parameters["L"]
+    longer = with_quantities(one.fit, L=dataclasses.replace(length, value=1.001 * length.value))
+    found = pianofit.compare(one, dataclasses.replace(one, fit=longer))
     assert "different" in found["c"].reason
     assert found["M_H"].z == 0, "it scales with the mass alone"
 
 
 def test_an_unmeasured_velocity_is_not_compared():
     scaled = changed(v_H0="scaled", mu="scaled")
-    scaled.document["recordings"][0] |= {"gain_status": "fitted", "v_H0_status": "scaled"}
+    fit = with_row(scaled.fit, gain_status="fitted", v_H0_status="scaled")
+    scaled = dataclasses.replace(scaled, fit=fit)
     found = pianofit.compare(fitted(), scaled)
     for q in found:
         if q.name in ("v_H0", "mu") or q.name.startswith("F at"):
             assert "not measured in B" in q.reason
     assert found["p"].z == 0
-    assert any("No hammer velocity" in message for message in found.messages)
+    assert any("No hammer velocity" in message for message in found.warnings)
 
 
 def test_ratios_of_velocities_are_those_of_the_same_recordings():
     def with_ratio(checksum: str) -> pianofit.Result:
         it = changed()
-        entry = it.document["invariants"]["B"] | {"note": "soft.wav"}
-        it.document["invariants"]["v/v_ref 2"] = entry
-        it.document["recordings"] += [it.document["recordings"][0] | {"stroke": 1, "first": False, "sha256": checksum}]
-        return it
+        (row,), name = it.fit.recordings, "v/v_ref 2"
+        ratio = dataclasses.replace(it.fit.invariants["B"], name=name, note="soft.wav")
+        other = dataclasses.replace(row, stroke=1, is_reference=False, sha256=checksum)
+        invariants = Quantities(dict(it.fit.invariants) | {name: ratio})
+        fit = dataclasses.replace(it.fit, invariants=invariants, recordings=(row, other))
+        return dataclasses.replace(it, fit=fit)
 
     assert pianofit.compare(with_ratio("x"), with_ratio("x"))["v/v_ref 2"].z == 0
     assert "different recordings" in pianofit.compare(with_ratio("x"), with_ratio("y"))["v/v_ref 2"].reason
@@ -140,11 +160,10 @@ def test_ratios_of_velocities_are_those_of_the_same_recordings():
 
 
 def test_the_same_recordings_another_key_and_a_stopped_search_are_said():
-    assert any("independent" in message for message in pianofit.compare(fitted(), fitted()).messages)
-    assert not pianofit.compare(fitted(), changed()).messages
-    assert any("keys" in message for message in pianofit.compare(fitted(), changed(1.06, ("f0",))).messages)
-    stopped = changed()
-    stopped.document["converged"] = False
+    assert any("independent" in message for message in pianofit.compare(fitted(), fitted()).warnings)
+    assert not pianofit.compare(fitted(), changed()).warnings
+    assert any("keys" in message for message in pianofit.compare(fitted(), changed(1.06, ("f0",))).warnings)
+    stopped = dataclasses.replace(fitted(), fit=dataclasses.replace(fitted().fit, converged=False))
     found = pianofit.compare(fitted(), stopped)
     assert all(q.z is None for q in found)
     assert "converge in B" in found["f0"].reason
@@ -170,13 +189,13 @@ def softer(factor: float) -> pianofit.Result:
     it = changed(factor, ("K_H",))
     hammer = it.note.hammer
     note = it.note._replace(hammer=hammer._replace(K_H=factor * hammer.K_H))
-    return dataclasses.replace(it, minima_notes=((note,),), weights=(1.0,), reference_index=0)
+    return dataclasses.replace(it, minima_notes=((note,),))
 
 
 def test_the_felts_are_compared_at_one_compression():
     found = pianofit.compare(fitted(), softer(1.5))
     first, second = found.felts
-    np.testing.assert_array_equal(first.compression, second.compression)
+    np.testing.assert_array_equal(first.compression_mm, second.compression_mm)
     np.testing.assert_allclose(second.force, 1.5 * first.force, rtol=1e-9)
     (row,) = [q for q in found if q.name.startswith("F at")]
     u = float(row.name.split()[2]) / 1e3
@@ -185,20 +204,19 @@ def test_the_felts_are_compared_at_one_compression():
     half = math.log(row.a.interval[1] / row.a.value) / HALF_WIDTH_95
     assert row.z == pytest.approx(math.log(1.5) / (math.sqrt(2) * half), rel=1e-6)
     assert found.felt_unit == row.unit == "N"
-    assert first.compression[-1] == pytest.approx(felt_of(fitted()).compression[-1])
+    assert first.compression_mm[-1] == pytest.approx(static_law(fitted()).compression_mm[-1])
 
 
 def test_an_assumed_mass_is_divided_out():
     found = pianofit.compare(fitted(), changed(M_S="assumed"))
     assert found.felt_unit == "N/kg"
     mass = float(fitted().note.geometry.mass)
-    np.testing.assert_allclose(found.felts[0].force * mass, felt_of(fitted()).force, rtol=1e-9)
+    np.testing.assert_allclose(found.felts[0].force * mass, static_law(fitted()).force, rtol=1e-9)
 
 
 def test_fits_without_a_covariance_are_compared_and_not_drawn():
-    old = changed()
-    del old.document["covariance"]
-    found = pianofit.compare(fitted(), old)
+    without = dataclasses.replace(fitted(), fit=dataclasses.replace(fitted().fit, covariance=None))
+    found = pianofit.compare(fitted(), without)
     assert found.felts is None
     assert found["f0"].z == 0
     for draw in (found.plot, found.figure):
@@ -320,8 +338,9 @@ def test_a_comparison_is_shown_and_written():
     assert "<b>" not in found._repr_html_()
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert [entry["name"] for entry in document["quantities"]] == [q.name for q in found]
-    assert document["felts"]["unit"] == "N"
-    assert len(document["felts"]["a"]["low"]) == len(document["felts"]["compression_mm"])
+    assert document["felt_unit"] == "N"
+    (law, _), (own, _) = document["felts"], found.felts
+    assert law == {"compression_mm": own.compression_mm.tolist(), "force": own.force.tolist(), "slow": None}
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.labels = ("a", "b")
 
@@ -353,16 +372,16 @@ def test_labels_are_two_different_texts(labels):
 @pytest.mark.parametrize("part", ["converged", "recordings", "invariants", "parameters"])
 @pytest.mark.parametrize("held", [None, [], [{}], {"f0": {}}, "text"])
 def test_a_file_that_lacks_something_is_one_error(part, held, tmp_path):
-    (tmp_path / "fit.json").write_text(json.dumps(fitted().document | {part: held}), encoding="utf-8")
+    (tmp_path / "fit.json").write_bytes(encode_json(fitted().to_dict() | {part: held}))
     with contextlib.suppress(FitError):
         pianofit.compare(tmp_path, fitted())
 
 
 def test_without_a_covariance_the_felts_are_left_out(tmp_path):
-    (tmp_path / "fit.json").write_text(json.dumps(fitted().document | {"covariance": None}), encoding="utf-8")
+    (tmp_path / "fit.json").write_bytes(encode_json(dataclasses.replace(fitted().fit, covariance=None)))
     found = pianofit.compare(tmp_path, fitted())
     assert found.felts is None
-    assert any("covariance" in message for message in found.messages)
+    assert any("covariance" in message for message in found.warnings)
 
 
 def test_the_command_compares_folders(tmp_path, capsys, monkeypatch):
@@ -372,7 +391,7 @@ def test_the_command_compares_folders(tmp_path, capsys, monkeypatch):
     out = tmp_path / "felts.svg"
     assert main(["compare", "soft", "loud/fit.json", "--out", str(out), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert (document["a"], document["b"]) == ("soft", "loud")
+    assert document["labels"] == ["soft", "loud"]
     of = {entry["name"]: entry for entry in document["quantities"]}
     assert of["M_H"]["z"] == pytest.approx(math.log(1.01) / (math.sqrt(2) * spread("M_H")), rel=1e-6)
     assert out.read_bytes().startswith(b"<?xml")

@@ -31,8 +31,8 @@ def unknowns() -> Parametrisation:
     sd = np.full(len(mean), 0.5)
     sd[[VALUES.index("epsilon"), VALUES.index("tau")]] = 0.0
     lower, upper = mean - 0.7, mean + 0.7
-    lower[FORCE], upper[FORCE] = -np.inf, np.inf
-    return Parametrisation(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, LAW)
+    lower[FORCE], upper[FORCE] = np.log(5e9), np.log(2e10)
+    return Parametrisation(mean, sd, lower, upper, LOG_U, GEOMETRY, LAW)
 
 
 def points(count: int = 40) -> np.ndarray:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import sys
 import tracemalloc
-import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +19,7 @@ from table_cases import PHI, SHAPES, noise, point, shared, table
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Result
 from pianofit.errors import FitError
-from pianofit.inference.intervals import Observations
+from pianofit.inference import ObservedValues
 from pianofit.inference.likelihood import pointwise
 from pianofit.result.draws import DRAWS_FILE, Draws, encode_draws, read_draws
 from pianofit.schema.fit import DrawsFile
@@ -35,7 +33,7 @@ def draws(chains: int = 2, count: int = 30) -> Draws:
     """Random draws of an invented fit."""
     random = np.random.default_rng(3)
     values = {name: random.normal(size=(chains, count)) for name in ("c", "v_H0", "v_H0 2", "f0", "M_H/M_S")}
-    seen = {kind: Observations(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
+    seen = {kind: ObservedValues(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
             for kind, n in (("level", 5), ("frequency", 3), ("absent", 0))}  # fmt: skip
     likelihood = {kind: random.normal(size=(chains, count, len(own.value))) for kind, own in seen.items()}
     return Draws(values, INVARIANTS, likelihood, seen)
@@ -206,15 +204,19 @@ def test_a_folder_keeps_the_draws(tmp_path):
     assert json.loads((again / "fit.json").read_text())["draws"] is None
 
 
-def test_arviz_has_what_a_study_needs(monkeypatch):
-    # Other tests put benchmarks/ on the path, whose coverage.py numba would take for the package of that name.
-    monkeypatch.delitem(sys.modules, "coverage", raising=False)
-    monkeypatch.setattr(sys, "path", [place for place in sys.path if not place.endswith("benchmarks")])
-    with warnings.catch_warnings(action="ignore"):  # its deprecation warnings
-        pytest.importorskip("arviz")
-        data = draws().to_arviz()
-    assert {*data.posterior.data_vars} == {*draws()}
+def test_arviz_has_what_a_study_needs():
+    pytest.importorskip("arviz_base")
+    data = draws().to_arviz()
+    assert {*data.posterior.data_vars} == {name.replace("/", " over ") for name in draws()}
     np.testing.assert_array_equal(data.observed_data["level"], draws().observed["level"].value)
     np.testing.assert_array_equal(data.constant_data["level_partial"], [1, 2, 3, 4, 5])
     np.testing.assert_array_equal(data.log_likelihood["frequency"], draws().log_likelihood["frequency"])
     assert data.log_likelihood["level"].dims == ("chain", "draw", *data.observed_data["level"].dims)
+
+
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter")  # the draws are invented
+def test_arviz_compares_models_by_these_draws():
+    stats = pytest.importorskip("arviz_stats")
+    pytest.importorskip("arviz_base")
+    loo = stats.loo(draws().to_arviz(), var_name="level")
+    assert np.isfinite(loo.elpd)

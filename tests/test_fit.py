@@ -31,8 +31,7 @@ from twin_cases import (
 from pianofit.analysis import analyse
 from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
-from pianofit.inference import build_problem
-from pianofit.inference.laplace import Posterior
+from pianofit.inference import Posterior, build_problem
 from pianofit.inference.observation_tables import RecordingStructure
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording.recording import load_recording

@@ -9,8 +9,6 @@ from model_cases import HAMMER, STRING
 
 from pianofit.felt import LAWS, FeltLaw, RelaxingHammer
 from pianofit.inference.batched_model import (
-    ModelInputs,
-    StaticConfig,
     level_jacobians,
     level_jacobians_per_string,
     levels,
@@ -18,6 +16,7 @@ from pianofit.inference.batched_model import (
     run_in_batches,
 )
 from pianofit.inference.parametrisation import LOG_ABSENT_LOSS, STRING_SIZE
+from pianofit.inference.problem import ModelInputs, StaticConfig
 from pianofit.model import simulate
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival

@@ -20,7 +20,7 @@ from pianofit.inference.likelihood import (
     objective,
     solve_nodes,
 )
-from pianofit.inference.quadratic_surrogate import QuadraticSurrogate
+from pianofit.inference.objective import QuadraticSurrogate
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -72,12 +72,12 @@ def test_the_parabola_touches_F_from_above(shape):
     random = np.random.default_rng(3)
     jacobian = random.normal(size=(*residual.shape, 3))
     surrogate = QuadraticSurrogate.of(t, PHI, w, residual)
-    here = surrogate(residual[None], jacobian[None])
+    here = surrogate.evaluate(residual[None], jacobian[None])
     _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
-    rise = surrogate(moved, np.zeros((60, *residual.shape, 3))).nll - here.nll
+    rise = surrogate.evaluate(moved, np.zeros((60, *residual.shape, 3))).nll - here.nll
     value = jax.jit(lambda r: objective(t, r, PHI, w))
     F = np.array([value(jnp.asarray(r)) for r in (residual, *moved)])
     assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
@@ -97,7 +97,7 @@ def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
     weight, answers = node_weights(t, per_node), t.log_weight.shape[1]
     assert answers > 1
     for gains in range(answers):
-        rise = QuadraticSurrogate.of(t, PHI, w, residual, gains)(moved, np.zeros((*moved.shape, 1))).nll
+        rise = QuadraticSurrogate.of(t, PHI, w, residual, gains).evaluate(moved, np.zeros((*moved.shape, 1))).nll
         p = weight[:, gains] / weight[:, gains].sum()
         above = (p * (per_node[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
         # Priors of φ and w.
@@ -112,8 +112,8 @@ def test_parabolas_before_a_residual_is_known_are_on_one_scale():
     per_node = solve_nodes(t, nothing, PHI, np.ones_like(nothing)).nll_per_node - t.log_weight
     middle = len(per_node) // 2
     for gains in range(per_node.shape[1]):
-        found = QuadraticSurrogate.of(t, PHI, gains=gains)(nothing[None], np.zeros((1, *nothing.shape, 1))).nll[0]
-        assert found == pytest.approx(per_node[middle, gains], rel=1e-12)
+        found = QuadraticSurrogate.of(t, PHI, gains=gains).evaluate(nothing[None], np.zeros((1, *nothing.shape, 1)))
+        assert found.nll[0] == pytest.approx(per_node[middle, gains], rel=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["one recording", "no path", "ten nodes"])

@@ -19,7 +19,7 @@ from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECI
 from pianofit.cli import main
 from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError
-from pianofit.inference.initial_values import InitialValues, starting_values
+from pianofit.inference import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.parameters import FIT_NAMES, Hammer, String
@@ -329,7 +329,7 @@ def test_the_command_line_from_end_to_end(tmp_path, capsys):
     command = ["fit", str(tmp_path / "synthetic.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(out)]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     assert "No intervals" in capsys.readouterr().out
-    whole = json.loads((out / "fit.json").read_text())
+    whole = pianofit.Result.load(out).fit
     assert whole.recipe == "paper"
     assert whole.seed == 1
     assert whole.diagnostics.evaluations >= FEW // 2

@@ -9,6 +9,7 @@ import io
 import re
 import xml.etree.ElementTree as ElementTree
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,41 +19,54 @@ from hypothesis import strategies as st
 from report_cases import (
     NAMES,
     Page,
+    content_of_recordings,
     drawn_in,
     drawn_once,
-    example_curves,
+    example_content,
     example_fit,
+    example_recordings,
+    example_result,
     minimum,
-    ringing_entry,
-    with_ringing,
+    modal_response,
+    quantities,
+    response_content,
+    with_reference,
 )
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
 from pianofit.io.files import replace_file
 from pianofit.io.number_format import number
-from pianofit.report.figures import _arrow_positions, _partials, _spectra
+from pianofit.model.decay import PartialDecay
+from pianofit.report.drawing import make_figure, page_style, span
+from pianofit.report.figures import _arrow_positions, draw_partials, draw_spectra
 from pianofit.report.html import asset
-from pianofit.report.page import FigureData, report_bytes
+from pianofit.report.modal_response import (
+    Envelope,
+    _draw_map,
+    draw_envelope,
+    modal_response_line,
+    modal_response_text,
+    spectrograms_of,
+)
+from pianofit.report.page import report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.text import STATUS, minima, modal_response_line, modal_response_text, recontact_text, rows
-from pianofit.schema.quantities import STATUSES
-
-
-@pytest.fixture(scope="module")
-def curves():
-    return example_curves(rate=16000, seconds=2.0)
+from pianofit.report.text import STATUS, minima, recontact_text, rows
+from pianofit.schema.decode import encode_json
+from pianofit.schema.fit import Recontact
+from pianofit.schema.quantities import STATUSES, Quantity
 
 
 @pytest.fixture(autouse=True)
 def _drawn_once(monkeypatch):
     monkeypatch.setattr("pianofit.report.page.draw_figures", drawn_once)
+    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
 
 
-def written(folder, fit, curves, title="a.wav, F#2"):
+def written(folder, fit=None, title="a.wav, F#2", **result: Any):
     path = folder / "report.html"
-    path.write_bytes(report_bytes(fit, curves, title))
+    path.write_bytes(report_bytes(example_result(fit, **result), title))
     assert [entry.name for entry in folder.iterdir()] == ["report.html"]
     return path.read_text(encoding="utf-8")
 
@@ -70,8 +84,8 @@ def sounds_of(page):
     return found
 
 
-def test_page_holds_everything_and_may_load_nothing(tmp_path, curves):
-    text = written(tmp_path, example_fit(), curves)
+def test_page_holds_everything_and_may_load_nothing(tmp_path):
+    text = written(tmp_path, example_fit())
     page, drawn = Page(text), drawn_in(text)
     for _, attributes in Page(re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)).tags:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcset", "data")]
@@ -96,30 +110,32 @@ def test_page_holds_everything_and_may_load_nothing(tmp_path, curves):
         assert all(link.startswith(("#", "data:")) for link in links)
 
 
-def test_same_input_gives_the_same_page(tmp_path, curves):
-    first = written(tmp_path, example_fit(), curves)
-    assert written(tmp_path, example_fit(), example_curves(rate=16000, seconds=2.0)) == first
+def test_same_input_gives_the_same_page(tmp_path):
+    first = written(tmp_path, example_fit())
+    example_recordings.cache_clear()
+    assert written(tmp_path, example_fit()) == first
 
 
-# Two panels each of spectra, levels, attack, partials and force.
-PANELS = 10
+# Two panels each of spectra, levels, attack, partials, force, felt and identifiability.
+PANELS = 14
 
+KEPT = {*STATUSES, "bridge-force", *example_content()["covariance"]["names"]}  # texts that a file cannot choose
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
 
 
-def test_hostile_text_stays_text(tmp_path, curves):
+def test_hostile_text_stays_text(tmp_path):
     def hostile(value):
         if isinstance(value, dict):
             return {key: hostile(entry) for key, entry in value.items()}
         if isinstance(value, list):
             return [hostile(entry) for entry in value]
-        return HOSTILE if isinstance(value, str) and value not in STATUSES else value
+        return HOSTILE if isinstance(value, str) and value not in KEPT else value
 
-    tame = Page(written(tmp_path, example_fit(), curves))
-    fit = hostile(example_fit())
+    tame = Page(written(tmp_path))
+    fit = hostile(example_content())
     fit["parameters"][HOSTILE] = {"value": 1.0, "status": "fitted"}
     fit["versions"] = {HOSTILE: HOSTILE}
-    page = Page(written(tmp_path, fit, curves, title=HOSTILE))
+    page = Page(written(tmp_path, example_fit(fit), title=HOSTILE))
     assert page.scripts == tame.scripts
     assert {tag for tag, _ in page.tags} <= {tag for tag, _ in tame.tags}
     assert {name for _, attributes in page.tags for name in attributes} <= {
@@ -130,43 +146,42 @@ def test_hostile_text_stays_text(tmp_path, curves):
     assert "{{ 7 * 7 }}" in page.text
 
 
-def test_claims_come_first_and_plainly(tmp_path, curves):
-    page = Page(written(tmp_path, example_fit(), curves))
+def test_claims_come_first_and_plainly(tmp_path):
+    page = Page(written(tmp_path, example_fit()))
     body = page.text[page.text.index("A string and a hammer") :]
     order = [body.index(part) for part in (
         "Read this first", "One uncalibrated recording", "▶ Play", "2.6 dB", "do not support the fitted hammer",
         "The string's length was not given", "The player above")]  # fmt: skip
     assert order == sorted(order)
     assert "Not converged" not in body
-    better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "path_only_db": 4.0, "partials": 40})
-    assert "explains more of the levels" in Page(written(tmp_path, better, curves)).text
+    better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "reference_hammer_db": 4.0, "partials": 40})
+    assert "explains more of the levels" in Page(written(tmp_path, better)).text
 
 
 @pytest.mark.parametrize("claims", ["", "The felt is not identified."])
-def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
-    fit = example_fit(claims=claims, converged=False)
-    fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
-    text = Page(written(tmp_path, fit, curves)).text
+def test_a_fit_that_failed_says_so(tmp_path, claims):
+    content = example_content()
+    content["criterion"]["bands"]["global"] = {"initial": 0.1, "final": 0.13}
+    fit = example_fit(content, identifiability_statement=claims, converged=False)
+    text = Page(written(tmp_path, fit)).text
     order = [text.index(part) for part in ([claims] if claims else []) + ["Not converged", "Higher criterion"]]
     assert order == sorted(order)
     assert "✓" not in text
     assert "1.3 times larger (+1.1 dB)" in text
 
 
-def test_a_clean_fit_says_so(tmp_path, curves):
-    fit = example_fit(claims="")
-    fit["parameters"] = {name: entry | {"status": "fitted"} for name, entry in fit["parameters"].items()}
-    text = Page(written(tmp_path, fit, curves)).text
+def test_a_clean_fit_says_so(tmp_path):
+    entries = {name: entry | {"status": "fitted"} for name, entry in example_content()["parameters"].items()}
+    text = Page(written(tmp_path, example_fit(identifiability_statement="", parameters=entries))).text
     assert "✓ Converged" in text
     assert "not measured" not in text.split("▶ Play")[0]
     assert "⚠" not in text
 
 
-def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
-    fit = example_fit()
-    fit["criterion"]["dropped"] = ["band1"]
-    del fit["criterion"]["band1"]
-    text = Page(html_text := written(tmp_path, fit, curves)).text
+def test_criterion_levels_and_statuses_in_words(tmp_path):
+    criterion = example_content()["criterion"] | {"excluded_bands": ["band1"]}
+    del criterion["bands"]["band1"]
+    text = Page(html_text := written(tmp_path, example_fit(criterion=criterion))).text
     for part in (
         "14.1 times smaller (−11.5 dB)",  # 0.83 / 0.059
         "band 1: fundamental – – excluded",
@@ -183,28 +198,26 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
         "scales with an assumed length of 1 m",
     ):
         assert part in text.replace("\u00a0", " "), part
-    drawn = drawn_in(html_text)
-    assert "band 1, excluded" in drawn[0]
-    assert "band 2: partials 2 to 8" in drawn[0]
+    spectra = next(drawing for drawing in drawn_in(html_text) if "frequency (Hz)" in drawing)
+    assert "band 1, excluded" in spectra
+    assert "band 2: partials 2 to 8" in spectra
 
 
-def test_recontacts_are_reported(tmp_path, curves):
-    first = {"start_ms": 3.1, "duration_ms": 0.4, "max_force_N": 0.2}
+def test_recontacts_are_reported(tmp_path):
+    two = [Recontact(3.1, 0.4, 0.2), Recontact(5.0, 1.25, 3.3)]
     assert recontact_text([]) == ""
-    assert recontact_text([first]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
-    two = [first, {"start_ms": 5.0, "duration_ms": 1.25, "max_force_N": 3.3}]
+    assert recontact_text(two[:1]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
     assert recontact_text(two) == "touches again 2 times, from 3.1 ms to 6.25 ms, with up to 3.3 N"
-    fit = example_fit()
-    fit["derived"] |= {"later_contacts": two}
-    text = Page(written(tmp_path, fit, curves)).text.replace("\u00a0", " ")
+    fit = example_fit(derived=example_content()["derived"] | {"recontacts": [vars(one) for one in two]})
+    text = Page(written(tmp_path, fit)).text.replace("\u00a0", " ")
     for part in ("2.21 ms", "33.4 N", "0.65 mm; touches again 2 times"):
         assert part in text
 
 
-def test_a_page_names_files_and_no_folders(tmp_path, curves):
-    fit = example_fit(messages=["/home/somebody/notes/a.wav: the pitch falls"])
-    fit["recordings"][0] |= {"file": "/home/somebody/notes/a.wav"}
-    html = written(tmp_path, fit, curves)
+def test_a_page_names_files_and_no_folders(tmp_path):
+    content = example_content()
+    content["recordings"][0]["file"] = "/home/somebody/notes/a.wav"
+    html = written(tmp_path, example_fit(content, warnings=["/home/somebody/notes/a.wav: the pitch falls"]))
     assert "somebody" not in html
     text = Page(html).text
     assert "a.wav: the pitch falls" in text
@@ -225,8 +238,8 @@ def test_every_status_of_a_fit_has_a_mark():
     assert len({mark for mark, _ in STATUS.values()}) == len(STATUSES)
 
 
-def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves):
-    text = Page(written(tmp_path, example_fit(), curves)).text.replace("\u00a0", " ")
+def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path):
+    text = Page(written(tmp_path, example_fit())).text.replace("\u00a0", " ")
     order = [text.index(part) for part in (
         "Assumption-free quantities",
         "f 0 fundamental frequency of the string without stiffness 92.331 Hz 92.321 to 92.341 ● fitted",
@@ -234,25 +247,25 @@ def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves
         "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown",
         "In SI units", "◐ scaled", "184.6610 m/s")]  # fmt: skip
     assert order == sorted(order)
-    without = Page(written(tmp_path, example_fit(invariants={}), curves)).text
+    without = Page(written(tmp_path, example_fit(invariants={}))).text
     assert "Assumption-free quantities" not in without
     assert "In SI units" not in without
 
 
-def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path, curves):
+def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path):
     one = example_fit(minima=[minimum(1.0, 0.0)])
     assert minima(one) is None
-    assert "Posterior modes" not in Page(written(tmp_path, one, curves)).text
+    assert "Posterior modes" not in Page(written(tmp_path, one)).text
     two = example_fit(minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
-    found = minima(two)
-    assert [name for name, _ in found["names"]] == ["K_H", "p"]
-    text = Page(written(tmp_path, two, curves)).text.replace("\u00a0", " ")
+    names, _ = minima(two)
+    assert [name for name, _ in names] == ["K_H", "p"]
+    text = Page(written(tmp_path, two)).text.replace("\u00a0", " ")
     assert "70 % 0 1.1 × 10¹⁰ 2.56 4, 2, 1.33 30 % 1.2 2.475 × 10¹⁰ 2.435 4, 2, 1.33" in text
 
 
 def test_a_ratio_of_velocities_names_the_strokes_file():
-    ratio = {"v/v_ref 2": {"value": 0.5, "unit": "1", "interval": [0.4, 0.6], "note": "/a folder/soft.wav"}}
-    (row,) = rows(ratio)
+    ratio = {"value": 0.5, "unit": "1", "interval": [0.4, 0.6], "note": "/a folder/soft.wav"}
+    (row,) = rows(quantities(**{"v/v_ref 2": ratio}))
     assert (row["name"], row["note"]) == ("v/v_ref", "soft.wav")
 
 
@@ -260,52 +273,96 @@ def nothing(array):
     return np.full_like(np.asarray(array, dtype=float), np.nan)
 
 
-def with_nothing(curves):
-    def of(x):
-        if isinstance(x, dict):
-            return {name: nothing(one) for name, one in x.items()}
-        return nothing(x) if isinstance(x, np.ndarray) else x
+def with_fields(record, change, *names):
+    """Return the record with these fields changed."""
+    return dataclasses.replace(record, **{name: change(getattr(record, name)) for name in names})
 
-    fields = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
-    return FigureData(**{name: x if name in ("number", "frequency") else of(x) for name, x in fields.items()})
+
+def with_partials(result, change, *names):
+    analysis = result.analysis
+    return with_reference(
+        result, analysis=dataclasses.replace(analysis, partials=with_fields(analysis.partials, change, *names))
+    )
+
+
+def with_nothing(result):
+    reference = result.reference
+    ours = {name: with_fields(getattr(reference, name), nothing, "samples") for name in ("initial", "fitted")}
+    result = with_reference(result, recording=with_fields(reference.recording, nothing, "samples", "frames"), **ours)
+    columns = (name for name, x in vars(reference.partials).items() if np.ndim(x) == 1 and name != "number")
+    return with_partials(result, nothing, *columns)
+
+
+def without_path(result):
+    fit = dataclasses.replace(result.fit, pickup=dataclasses.replace(result.fit.pickup, path=None))
+    notes = tuple(tuple(note._replace(path=None) for note in notes) for notes in result.minima_notes)
+    return with_borders(dataclasses.replace(result, fit=fit, minima_notes=notes), ())
+
+
+def with_borders(result, borders, excluded=()):
+    criterion = dataclasses.replace(result.fit.criterion, borders=borders, excluded_bands=excluded)
+    return dataclasses.replace(result, fit=dataclasses.replace(result.fit, criterion=criterion))
+
+
+def without_contact(result):
+    fitted = result.fitted
+    pulse = SimpleNamespace(**{name: 0 * x for name, x in vars(fitted.simulation.pulse).items()})
+    return with_reference(
+        result, fitted=dataclasses.replace(fitted, simulation=fitted.simulation._replace(pulse=pulse))
+    )
+
+
+def with_magnitudes(result):
+    recording, fitted = result.recording, result.fitted
+    return with_reference(
+        result,
+        recording=with_fields(recording, lambda x: 1e-9 * x, "samples", "frames"),
+        fitted=with_fields(fitted, lambda x: 1e30 * x, "samples"),
+    )
+
+
+def with_channels(result):
+    recording = dataclasses.replace(result.recording, frames=np.tile(result.recording.samples, (5, 1)))
+    fitted = dataclasses.replace(result.fitted, frames=np.tile(result.fitted.samples, (5, 1)))
+    return with_reference(result, recording=recording, fitted=fitted)
+
+
+def with_one_partial(_):
+    content = example_content()
+    for column in (content["recordings"][0]["partials"], content["pickup"]["path"]):
+        column |= {name: values[:1] for name, values in column.items()}
+    return example_result(example_fit(content), rate=8000, seconds=0.6, count=1, f0=1760.0, path=False)
 
 
 @pytest.mark.parametrize(
     "case",
     [
-        lambda c: c,
+        lambda it: it,
         with_nothing,
-        lambda c: dataclasses.replace(c, path=None, borders=()),
-        lambda c: dataclasses.replace(c, borders=(100.0, 700.0)),
-        lambda c: dataclasses.replace(
-            c,
-            decay=-c.decay,
-            force=c.force | {"fitted": 0 * c.force_ms},
-            compression=c.compression | {"fitted": -c.force_ms},
-        ),
-        lambda c: dataclasses.replace(
-            c,
-            attack=c.attack | {"measured": 1e-9 * c.attack["measured"]},
-            sounds=c.sounds | {"fitted": 1e30 * c.sounds["fitted"]},
-        ),
-        lambda c: dataclasses.replace(c, level_error=nothing(c.number), frequency_cents_error=nothing(c.number)),
-        lambda _: example_curves(rate=8000, seconds=0.6, count=1, f0=1760.0, path=False),
-        lambda c: dataclasses.replace(c, sounds=c.sounds | {"original": np.tile(c.sounds["original"], (5, 1))}),
+        without_path,
+        lambda it: with_borders(it, (100.0, 700.0)),
+        without_contact,
+        with_magnitudes,
+        lambda it: with_partials(it, nothing, "frequency_error", "decay_error"),
+        with_one_partial,
+        with_channels,
     ],
     ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial", "channels"],
 )
-def test_page_stands_what_a_fit_may_lack(tmp_path, curves, case):
-    lacking = case(curves)
-    page = Page(written(tmp_path, example_fit(), lacking))
+def test_page_stands_what_a_fit_may_lack(case):
+    page = Page(report_bytes(case(example_result()), "a.wav").decode())
     assert len(page.drawings) in (PANELS - 1, PANELS)  # the spectra have one panel or two
     assert set(sounds_of(page)) == set(NAMES)
 
 
-def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path, curves):
-    fit = example_fit(recipe="paper", invariants={}, levels=example_fit()["levels"] | {"path_only_db": None})
-    for entry in (*fit["parameters"].values(), *fit["recordings"]):
-        entry |= {"interval": None, "v_H0_interval": None}
-    text = Page(written(tmp_path, fit, curves)).text
+def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path):
+    content = example_content()
+    for entry in content["parameters"].values():
+        entry |= {"interval": None}
+    content["recordings"][0]["v_H0_interval"] = None
+    levels = content["levels"] | {"reference_hammer_db": None}
+    fit = example_fit(content, recipe="paper", invariants={}, levels=levels)
+    text = Page(written(tmp_path, fit)).text
     assert "recipe “paper”" in text
     for part in ("Identifiability", "initial hammer leaves", "Assumption-free quantities"):
         assert part not in text.split("All results of this fit")[0], part
@@ -338,7 +395,7 @@ def test_numbers_as_a_reader_likes_them(value, text):
     ],
 )
 def test_intervals_get_the_digits_they_support(value, interval, texts):
-    (row,) = rows({"c": {"value": value, "interval": interval}})
+    (row,) = rows({"c": Quantity("c", value, interval=interval)})
     assert (row["value"].replace("\u00a0", " "), (row["interval"] or "–").replace("\u00a0", " ")) == texts
 
 
@@ -366,14 +423,19 @@ def test_weighting_is_the_recommendations(frequency):
     assert ours == pytest.approx(10 * np.log10(np.mean(settled**2)), abs=0.15)
 
 
-def _fit_of(*paths):
-    return SimpleNamespace(recordings=[SimpleNamespace(recording=SimpleNamespace(path=str(path))) for path in paths])
+def _fit_of(path):
+    result = example_result()
+    recording = dataclasses.replace(result.recording, path=str(path))
+    return with_reference(result, recording=recording)
 
 
 @pytest.mark.parametrize("name", ["fitted.wav", "initial.wav", "knock.flac", "fitted-soft.wav"])
 def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name):
     """`fitted-soft.wav` belongs to an earlier fit, would be deleted by the next one, and is a recording itself."""
-    (tmp_path / "fit.json").write_text('{"recordings": [{"file": "soft.wav"}, {"file": "a/loud.wav"}]}')
+    content = content_of_recordings(2)
+    for row, file in zip(content["recordings"], ("soft.wav", "a/loud.wav"), strict=True):
+        row["file"] = file
+    (tmp_path / "fit.json").write_bytes(encode_json(content))
     earlier = _previous_outputs(tmp_path)
     assert earlier == {"report.html", "knock.flac", "draws.npz", "fitted-soft.wav", "fitted-loud.wav"}
     with pytest.raises(OutputError, match=f"{name}.*use another folder"):
@@ -389,12 +451,14 @@ def test_what_is_no_fits_names_no_sounds(tmp_path):
 
 
 @pytest.mark.parametrize("loudest", NAMES)
-def test_sounds_are_equally_loud_and_never_clip(tmp_path, loudest):
-    curves = example_curves(rate=48000, seconds=2.0)
+def test_sounds_are_equally_loud_and_never_clip(loudest):
+    result = example_result(rate=48000)
     scale = {name: 3.0 if name == loudest else 0.02 for name in NAMES}
-    given_sounds = {name: scale[name] * curves.sounds[name] for name in NAMES}
-    curves = dataclasses.replace(curves, sounds=given_sounds)
-    sounds = sounds_of(Page(written(tmp_path, example_fit(), curves)))
+    parts = {"original": result.recording, "initial": result.initial, "fitted": result.fitted}
+    parts = {name: with_fields(part, lambda x, s=scale[name]: s * x, "samples") for name, part in parts.items()}
+    result = with_reference(result, recording=parts["original"], initial=parts["initial"], fitted=parts["fitted"])
+    given_sounds = {name: part.samples for name, part in parts.items()}
+    sounds = sounds_of(Page(report_bytes(result, "a.wav").decode()))
     loudness = [printed_loudness(samples) for samples, _, _ in sounds.values()]
     assert max(loudness) - min(loudness) < 0.3
     assert max(np.max(np.abs(samples)) for samples, _, _ in sounds.values()) == pytest.approx(10 ** (-1 / 20), abs=1e-3)
@@ -441,16 +505,15 @@ def test_silence_and_broken_samples_are_kept_silent():
 @pytest.mark.parametrize(
     "lost", [lambda x: np.full_like(x, np.nan), lambda x: 0 * x, lambda x: x[..., :1]], ids=["nan", "silent", "short"]
 )
-def test_page_allows_an_empty_modal_response(tmp_path, curves, lost):
-    whole = with_ringing(curves).ringing
-    envelopes = tuple(
-        dataclasses.replace(one, time=lost(one.time), measured=lost(one.measured), law=lost(one.law), fitted=None)
-        for one in whole.envelopes
-    )
-    empty = dataclasses.replace(
-        whole, envelopes=envelopes, measured=lost(whole.measured), played=lost(whole.played), decays=()
-    )
-    assert written(tmp_path, example_fit(ringing=ringing_entry()), dataclasses.replace(curves, ringing=empty))
+def test_page_allows_an_empty_modal_response(lost):
+    result = example_result(example_fit(modal_response=response_content()), modes=True)
+    levels = {"measured": np.linspace(-10.0, -40.0, 200), "string model": np.linspace(-10.0, -60.0, 200)}
+    envelope = Envelope(1, 92.0, np.linspace(0.0, 3.0, 200), levels)
+    empty = envelope._replace(time=lost(envelope.time), levels={name: lost(x) for name, x in levels.items()})
+    time, frequency, measured, _ = spectrograms_of(result)
+    with page_style():
+        assert make_figure(draw_envelope, empty)
+        assert _draw_map(time, frequency, lost(measured), "recorded", "viridis", span(lost(measured)), "dB")
 
 
 def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
@@ -470,33 +533,36 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["initial", "fitted"])
-def test_a_strike_on_a_node_does_not_flatten_the_levels(curves, name):
+def test_a_strike_on_a_node_does_not_flatten_the_levels(name):
     import matplotlib.pyplot as plt
 
     from pianofit.report.figures import draw_levels
 
-    level = curves.levels[name].copy()
+    levels = example_fit().reference.partials
+    level = getattr(levels, name).copy()
     level[3] = -380.0
     axes = plt.figure().add_subplot()
-    draw_levels(axes, dataclasses.replace(curves, levels=curves.levels | {name: level}))
+    draw_levels(axes, dataclasses.replace(levels, **{name: level}))
     low, high = axes.get_ylim()
     plt.close("all")
-    assert -150 < low < min(x.min() for x in curves.levels.values())
-    assert high > max(x.max() for x in curves.levels.values())
+    columns = (levels.measured, levels.initial, levels.fitted)
+    assert -150 < low < min(x.min() for x in columns)
+    assert high > max(x.max() for x in columns)
 
 
-def test_bands_beyond_the_spectra_are_not_in_their_picture(curves):
-    end = float(curves.frequency[-1])
-    high = dataclasses.replace(curves, borders=(50.0, 0.1 * end, 1.5 * end, 1.8 * end))
-    for figure in _spectra(high, ("band3",)):
+def test_bands_beyond_the_spectra_are_not_in_their_picture():
+    result = example_result()
+    (*_, last), end = draw_spectra(result), draw_spectra(result)[-1].axes[0].get_xlim()[1]
+    for figure in draw_spectra(with_borders(result, (50.0, 0.1 * end, 1.5 * end, 1.8 * end), ("band3",))):
         (axes,) = figure.axes
-        assert axes.get_xlim()[1] <= end
+        assert axes.get_xlim()[1] <= last.axes[0].lines[0].get_xdata()[-1] * 1.001
         assert "band 3" not in " ".join(text.get_text() for text in axes.texts)
 
 
-def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
-    hidden = dataclasses.replace(curves, decay=np.where(curves.number == 3, 1e-3, curves.decay))
-    (_, with_beat), (_, plain) = (_partials(c) for c in (hidden, curves))
+def test_a_decay_that_a_beat_hides_leaves_room_to_the_others():
+    result = example_result()
+    hidden = with_partials(result, lambda decay: np.where(np.arange(len(decay)) == 2, 1e-3, decay), "decay")
+    (_, with_beat), (_, plain) = (draw_partials(it) for it in (hidden, result))
     low = [figure.axes[0].get_ylim()[0] for figure in (with_beat, plain)]
     assert 1e-2 < low[0] <= low[1]
     labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (with_beat, plain)]
@@ -504,8 +570,15 @@ def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
     assert "below this axis" not in labels[1]
 
 
-def test_modal_response_is_drawn_described_and_playable(tmp_path, curves):
-    html = written(tmp_path, example_fit(ringing=ringing_entry()), with_ringing(curves))
+DECAYS = [
+    PartialDecay(1, 92.331, 3, 4.25, 12.5, 0.75, 6.5, (0.0125, 0.25)),
+    PartialDecay(2, 184.9, 1, 3.0, 3.0, np.nan, np.nan, (0.02, 0.02)),
+]
+
+
+def test_modal_response_is_drawn_described_and_playable(tmp_path, monkeypatch):
+    monkeypatch.setattr("pianofit.report.modal_response.decays_and_beats", lambda _: DECAYS)
+    html = written(tmp_path, example_fit(modal_response=response_content()), modes=True)
     page = Page(html)
     assert len(page.drawings) == PANELS + 9  # six envelopes; recorded, played and their difference
     for part in (
@@ -516,7 +589,7 @@ def test_modal_response_is_drawn_described_and_playable(tmp_path, curves):
     drawn = drawn_in(html)
     assert sum(svg.count("data:image/png") for svg in drawn) == 3 * 2  # levels and their scales are rasters
     assert all(
-        f">{label}<" in " ".join(drawn) for label in ("fitted minus recorded", "partial 3, 276 Hz", "string model")
+        f">{label}<" in " ".join(drawn) for label in ("fitted minus recorded", "partial 3, 277 Hz", "string model")
     )
     sounds = sounds_of(page)
     assert {name: x.ndim for name, (x, *_) in sounds.items()} == {"original": 2, "fitted": 2, "string model": 1}
@@ -526,27 +599,24 @@ def test_modal_response_is_drawn_described_and_playable(tmp_path, curves):
 
 
 @pytest.mark.parametrize(
-    ("entry", "model", "errors"),
+    ("response", "model", "errors"),
     [
-        (ringing_entry("modes", (8.0, 3.0, 3.5)), "4 modes", ("3.0", "8.0", "3.5")),
-        (ringing_entry("law", (4.0, 4.5, 5.0)), "the string model alone", ("4.0", "4.5", "5.0")),
-        (ringing_entry(left_out=None), "4 modes and a knock", ()),
+        (modal_response("modes", (8.0, 3.0, 3.5)), "4 modes", ("3.0", "8.0", "3.5")),
+        (modal_response("string model", (4.0, 4.5, 5.0)), "the string model alone", ("4.0", "4.5", "5.0")),
+        (modal_response(left_out=None), "4 modes and a knock", ()),
     ],
-    ids=["modes", "law", "one recording"],
-)  # fmt: skip
-def test_text_and_line_name_the_render_model_and_all_errors(entry, model, errors):
-    for text in (modal_response_text(entry), modal_response_line(entry)):
+    ids=["modes", "string model", "one recording"],
+)
+def test_text_and_line_name_the_render_model_and_all_errors(response, model, errors):
+    for text in (modal_response_text(response), modal_response_line(response)):
         assert model in text
         assert all(error in text for error in errors)
         assert ("not tested" in text) == (not errors)
-    assert "\n" not in modal_response_line(entry)
+    assert "\n" not in modal_response_line(response)
 
 
-def test_a_key_with_the_string_model_alone_has_no_table_and_no_third_line(tmp_path, curves):
-    whole = with_ringing(curves)
-    envelopes = tuple(dataclasses.replace(one, fitted=None) for one in whole.ringing.envelopes)
-    law_only = dataclasses.replace(whole.ringing, envelopes=envelopes, decays=())
-    html = written(tmp_path, example_fit(ringing=ringing_entry("law")), dataclasses.replace(curves, ringing=law_only))
+def test_a_key_with_the_string_model_alone_has_no_table_and_no_third_line(tmp_path):
+    html = written(tmp_path, example_fit(modal_response=response_content("string model")))
     page = Page(html)
     assert "This key uses the string model alone." in page.text
     assert "T60" not in page.text

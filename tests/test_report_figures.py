@@ -6,25 +6,24 @@ import re
 
 import numpy as np
 import pytest
-from report_cases import Page, drawn_in, drawn_once, example_curves, example_fit, ringing_entry, with_ringing
+from report_cases import Page, drawn_in, drawn_once, example_content, example_fit, example_result, response_content
 
 from pianofit.felt import LAWS
 from pianofit.parameters import PARAMETERS
 from pianofit.report.drawing import COLOURS, FITTED, make_figure, page_style, svg
-from pianofit.report.equations import HAMMER, MODES, PATH, STRING, T60, equations
-from pianofit.report.formula import formula_html, symbols
-from pianofit.report.html import asset
-from pianofit.report.inline_svg import inlined
+from pianofit.report.equations import HAMMER, MODES, PATH, STRING, equations, formula_html, symbols
+from pianofit.report.html import asset, picture
 from pianofit.report.page import report_bytes
 from pianofit.report.text import SYMBOLS
 
 
 @pytest.fixture(scope="module")
 def html():
-    curves = with_ringing(example_curves(rate=16000, seconds=2.0))
+    fit = example_fit(modal_response=response_content())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pianofit.report.page.draw_figures", drawn_once)
-        return report_bytes(example_fit(ringing=ringing_entry()), curves, "a.wav, F#2").decode()
+        patch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
+        return report_bytes(example_result(fit, modes=True), "a.wav, F#2").decode()
 
 
 # ---- figures ----
@@ -80,7 +79,7 @@ def test_a_drawing_keeps_its_text_in_reading_order():
         axes.set(title="a <b> & c", xlabel="$M_{H}/M_{S}$")
 
     with page_style():
-        element = inlined(svg(make_figure(draw)))
+        (element,) = picture([svg(make_figure(draw))])
     texts = [re.sub("<[^>]+>", "", one) for one in re.findall(r"<text.*?</text>", element, re.DOTALL)]
     assert "MH/MS" in texts
     assert "a &lt;b&gt; &amp; c" in texts
@@ -98,18 +97,19 @@ def test_captions_name_no_colours(html):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
-    box = equations(example_fit(felt=law), LAWS[law].formula, path=True, modes=True)
-    units = {row.symbol: row.unit for row in box["symbols"]}
+    box = equations(example_fit(felt=law, modal_response=response_content()), LAWS[law].formula)
+    units = {symbol: unit for symbol, _, unit in box["symbols"]}
     for name, parameter in LAWS[law].hammer_parameters.items():
         shown = units[SYMBOLS.get(name, name)]
         assert shown == ("" if parameter.unit == "1" else parameter.unit.replace("^p", "ᵖ"))
-    for name, entry in (example_fit()["parameters"] | example_fit()["invariants"]).items():
+    for name, entry in (example_content()["parameters"] | example_content()["invariants"]).items():
         assert SYMBOLS.get(name, name) in units, entry
-    lines = [*LAWS[law].formula, *(one for line in (STRING, HAMMER, PATH, MODES, T60) for one in line.formulas)]
+    others = (formula for formulas in (PATH | MODES).values() for formula in formulas)
+    lines = [*LAWS[law].formula, *STRING, *HAMMER, *others]
     assert {symbol for formula in lines for symbol in symbols(formula)} <= {*units}
     assert units["κ"] == PARAMETERS["kappa"].unit
     assert len(units) == len(box["symbols"])
-    assert all(row.meaning for row in box["symbols"])
+    assert all(meaning for _, meaning, _ in box["symbols"])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -120,12 +120,10 @@ def test_a_formula_of_a_felt_has_all_parameters_of_its_law(law):
 
 def test_a_felt_from_outside_keeps_its_own_meanings():
     own = {"s": {"value": 1.0, "unit": "m", "meaning": "compression at which it has doubled", "status": "fitted"}}
-    fit = example_fit(felt="foam")
-    fit["parameters"] |= own
+    fit = example_fit(felt="foam", parameters=example_content()["parameters"] | own)
     for formula in ((), (r"F = u^2 (1 + \frac{u}{s})",), ("F = 1 & <b>{",)):  # none, one, and another notation
-        box = equations(fit, formula, path=True, modes=False)
-        (row,) = [row for row in box["symbols"] if row.symbol == "s"]
-        assert (row.meaning, row.unit) == ("compression at which it has doubled", "m")
+        box = equations(fit, formula)
+        assert ("s", "compression at which it has doubled", "m") in box["symbols"]
     assert "1 &amp; &lt;b&gt;{" in box["lines"][2][1][0]
 
 

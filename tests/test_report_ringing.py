@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pianofit.model.decay import decays_and_beats
 from pianofit.model.modal_response import ModalResponse
-from pianofit.report.build import modal_response_curves
-from pianofit.report.figures_modal_response import draw_modal_response
+from pianofit.report.modal_response import (
+    decay_rows,
+    draw_envelopes,
+    draw_spectrograms,
+    envelopes_of,
+    spectrograms_of,
+)
 
 RATE, ONSET, F0 = 16_000, 800, 200.0
 NUMBER = np.arange(1, 9)
@@ -35,7 +41,7 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
     ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
     result = SimpleNamespace(
-        document={"ringing": {}}, reference=fitted, note=SimpleNamespace(ringing=ringing if rings else None),
+        reference=fitted, note=SimpleNamespace(ringing=ringing if rings else None),
         analysis=SimpleNamespace(f0=F0, B=0.0),
     )  # fmt: skip
     result.with_recordings = lambda: result
@@ -43,63 +49,51 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
 
 
 def test_envelopes_are_those_of_the_strongest_partials():
-    curves = modal_response_curves(fake_result())
-    assert curves is not None
-    assert [one.number for one in curves.envelopes] == [1, 2, 3, 4, 5, 6]
-    for one in curves.envelopes:
+    titles = [figure.axes[0].get_title() for figure in draw_envelopes(fake_result())]
+    assert [title.split(",")[0] for title in titles] == [f"partial {k}" for k in range(1, 7)]
+    for one in envelopes_of(fake_result(), [1, 2, 3, 4, 5, 6]):
         assert (one.time[0], one.time[-1]) == pytest.approx((0.0, 3.0), abs=0.02)
         after = one.time > 0.05  # so that no kernel extends before the onset
         expected_db = LEVEL[one.number - 1] - 20 / np.log(10) * np.outer(
             [1.0, 2.0], DECAY[one.number - 1] * one.time[after]
         )
-        assert one.fitted is not None
         for shown, expected in (
-            (one.measured, expected_db[0]),
-            (one.law, expected_db[1]),
-            (one.fitted, expected_db[0] + 20 * np.log10(2)),
+            (one.levels["measured"], expected_db[0]),
+            (one.levels["string model"], expected_db[1]),
+            (one.levels["fitted"], expected_db[0] + 20 * np.log10(2)),
         ):
             loud = expected > -80  # side lobes of the kernel are below
             np.testing.assert_allclose(shown[after][loud], expected[loud], atol=0.05)
 
 
 def test_levels_over_time_and_frequency_are_where_the_partials_are():
-    curves = modal_response_curves(fake_result())
-    assert curves is not None
-    assert curves.measured.shape == curves.played.shape == (len(curves.frequency), len(curves.time))
-    assert 2.9 < curves.time[-1] <= 3.0
-    loud = np.argmax(curves.measured, axis=0)
-    assert np.ptp(curves.frequency[loud]) == 0
-    assert curves.frequency[loud[0]] == pytest.approx(F0, rel=0.1)
-    difference = (curves.played - curves.measured)[loud[0]]
+    time, frequency, measured, fitted = spectrograms_of(fake_result())
+    assert measured.shape == fitted.shape == (len(frequency), len(time))
+    assert 2.9 < time[-1] <= 3.0
+    loud = np.argmax(measured, axis=0)
+    assert np.ptp(frequency[loud]) == 0
+    assert frequency[loud[0]] == pytest.approx(F0, rel=0.1)
+    difference = (fitted - measured)[loud[0]]
     np.testing.assert_allclose(difference, 20 * np.log10(2), atol=0.05)
-    assert np.all(curves.measured >= curves.measured.max() - 60.1)
+    assert np.all(measured >= measured.max() - 60.1)
 
 
 def test_decays_are_those_of_the_modes():
-    curves = modal_response_curves(fake_result())
-    assert curves is not None
-    np.testing.assert_allclose([one.early for one in curves.decays], np.log(1e3) / DECAY)
+    result = fake_result()
+    np.testing.assert_allclose([one.early for one in decays_and_beats(result.note.ringing)], np.log(1e3) / DECAY)
+    assert [row[0] for row in decay_rows(result)] == [str(k) for k in NUMBER]
+    assert [float(row[3]) for row in decay_rows(result)] == pytest.approx(np.log(1e3) / DECAY, rel=0.05)
 
 
 def test_a_key_by_its_law_has_two_envelopes_and_no_decays():
-    curves = modal_response_curves(fake_result(rings=False))
-    assert curves is not None
-    assert curves.decays == ()
-    assert all(one.fitted is None for one in curves.envelopes)
-    assert (curves.played - curves.measured)[:, -1].min() < -3
+    result = fake_result(rings=False)
+    assert decay_rows(result) == []
+    assert [[*one.levels] for one in envelopes_of(result, [1, 2])] == 2 * [["measured", "string model"]]
+    *_, measured, fitted = spectrograms_of(result)
+    assert (fitted - measured)[:, -1].min() < -3
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5])
 def test_a_short_recording_is_drawn(seconds):
-    curves = modal_response_curves(fake_result(seconds))
-    assert curves is not None
-    assert {name: len(panels) for name, panels in draw_modal_response(curves).items()} == {
-        "envelopes": 6,
-        "spectrograms": 3,
-    }
-
-
-def test_a_fit_that_looked_for_no_modes_shows_none():
-    result = fake_result()
-    result.document = {}
-    assert modal_response_curves(result) is None
+    result = fake_result(seconds)
+    assert (len(draw_envelopes(result)), len(draw_spectrograms(result))) == (6, 3)

@@ -12,15 +12,20 @@ from scipy.signal import lfilter
 
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
-from pianofit.inference import FitProblem, build_problem, map_estimate
-from pianofit.inference.laplace import Posterior
-from pianofit.inference.map_estimate import _deduplicate, fit_string
-from pianofit.inference.multistart import deduplicate, multistart
-from pianofit.inference.optimiser import LEVELS, Optimiser
-from pianofit.inference.pipeline import InferenceResult
-from pianofit.inference.prescreen import initial_hyperparameters, prescreen, rescan_velocities
-from pianofit.inference.quadratic_surrogate import QuadraticSurrogate
-from pianofit.inference.refine import refine_minima
+from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
+from pianofit.inference.batched_model import LevelModel
+from pianofit.inference.estimate import _deduplicate, fit_string, refine_minima
+from pianofit.inference.multistart import (
+    FINE_VELOCITIES,
+    VELOCITIES,
+    deduplicate,
+    initial_hyperparameters,
+    multistart,
+    rank_hammers,
+    sobol_samples,
+)
+from pianofit.inference.objective import Objective, QuadraticSurrogate
+from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
 from pianofit.literature import preset
 from pianofit.model import simulate
 from pianofit.recording.recording import recording_from_samples
@@ -44,10 +49,24 @@ def found(seed: int = 0):
     return map_estimate(problem(), seed)
 
 
-def samples(optimiser: Optimiser, count: int) -> np.ndarray:
+def of_levels() -> Objective:
+    """F of the levels with the fitted string."""
+    return Objective.of_levels(problem(), string())
+
+
+def wide() -> np.ndarray:
+    """φ before any residual is known [4]."""
+    return initial_hyperparameters(problem().observed.level)
+
+
+def surrogate() -> QuadraticSurrogate:
+    """The surrogate before any residual is known."""
+    return QuadraticSurrogate.of(problem().observed.level, wide())
+
+
+def samples(objective: Objective, count: int) -> np.ndarray:
     """The best prescreened hammers [count, size]."""
-    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
-    return prescreen(optimiser, 3, [surrogate])[0][:count]
+    return rank_hammers(objective, sobol_samples(objective, 3), VELOCITIES, [surrogate()])[0][:count]
 
 
 def test_the_string_is_read_off_its_partials():
@@ -57,49 +76,41 @@ def test_the_string_is_read_off_its_partials():
 
 
 def test_a_descent_never_raises_F():
-    p = problem()
-    optimiser = Optimiser(p, string(), LEVELS)
-    theta = samples(optimiser, 24)
-    candidates = optimiser.initialise(theta, [initial_hyperparameters(optimiser)])
+    p, objective = problem(), of_levels()
+    candidates = objective.start(samples(objective, 24), [wide()])
     assert len(candidates) > 8
     before = np.full(len(candidates), np.inf)
     for _ in range(6):
-        candidates = optimiser._lm_step(candidates, 0.0, None)
-        now = optimiser.total(candidates)
+        candidates = step(objective, candidates)
+        now = objective.total(candidates)
         assert (now <= before + 1e-9).all()
         before = now
     # Its F is that of a candidate created anew at the same point.
-    anew = optimiser.initialise(candidates.theta, candidates.phi, candidates.w, candidates.offset)
-    np.testing.assert_allclose(optimiser.total(anew), optimiser.total(candidates), rtol=1e-10)
+    anew = objective.start(candidates.theta, candidates.phi, candidates.w, candidates.offset)
+    np.testing.assert_allclose(objective.total(anew), objective.total(candidates), rtol=1e-10)
     low, high = p.parametrisation.bounds_at(candidates.theta)
     assert ((candidates.theta >= low) & (candidates.theta <= high))[:, p.parametrisation.free].all()
 
 
 def test_what_went_down_a_parabola_is_then_judged_by_F():
-    optimiser = Optimiser(problem(), string(), LEVELS)
-    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
-    theta = samples(optimiser, 6)
-    candidates = optimiser.minimise(
-        optimiser.initialise(theta, [initial_hyperparameters(optimiser)], surrogate=surrogate),
-        0.0,
-        2,
-        surrogate=surrogate,
-    )
-    judged = optimiser.minimise(candidates, 0.0, 0)
-    anew = optimiser.initialise(judged.theta, judged.phi, judged.w)
-    np.testing.assert_allclose(optimiser.total(judged), optimiser.total(anew), rtol=1e-10)
-    assert (np.abs(optimiser.total(candidates) - optimiser.total(judged)) > 1.0).any()
+    objective = of_levels()
+    replaced = objective.with_surrogate(surrogate())
+    candidates = minimise(replaced, replaced.start(samples(objective, 6), [wide()]), Options(2))
+    judged = minimise(objective, candidates, Options(0))
+    anew = objective.start(judged.theta, judged.phi, judged.w)
+    np.testing.assert_allclose(objective.total(judged), objective.total(anew), rtol=1e-10)
+    assert (np.abs(replaced.total(candidates) - objective.total(judged)) > 1.0).any()
 
 
 def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is():
     """φ and w of levels, frequencies and decays are minimised with θ, from their priors."""
-    optimiser, best = Optimiser(problem()), found().minima
-    priors = [np.asarray(table.prior[0]) for table in optimiser.tables]
-    candidates = optimiser.initialise(best.candidates.theta, priors, offset=best.candidates.offset)
+    objective, best = Objective.complete(problem()), found().minima
+    priors = [np.asarray(term.table.prior[0]) for term in objective.terms]
+    candidates = objective.start(best.candidates.theta, priors, offset=best.candidates.offset)
     before = np.inf
     for _ in range(40):
-        candidates = optimiser._lm_step(candidates, 0.0, None)
-        now = float(optimiser.total(candidates)[0])
+        candidates = step(objective, candidates)
+        now = float(objective.total(candidates)[0])
         assert now <= before + 1e-9
         before = now
     assert now == pytest.approx(best.nll[0], abs=0.01)
@@ -109,41 +120,39 @@ def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is()
 
 def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
     """The search estimates it at its best hammer alone."""
-    optimiser = Optimiser(problem(), string(), LEVELS)
-    theta = samples(optimiser, 24)
-    errors = optimiser.discretisation_error_db(theta[optimiser.model(theta, np.zeros(()))[1]])
+    objective = of_levels()
+    coarse, theta = objective.level_model, samples(objective, 24)
+    errors = coarse.discretisation_error_db(theta[coarse.residuals(theta, np.zeros(()))[1]])
     whole, left = (np.sqrt((x**2).mean(axis=(1, 2))) for x in (errors, errors[1:] - errors[0]))
     assert len(whole) > 8
     assert 0.05 < np.median(whole) < 0.3  # dB
     assert np.median(left) < 0.5 * np.median(whole)
     # With this correction, the levels agree with those of the problem's own steps, corrected too.
-    fine = Optimiser(problem())
-    levels = [d.level(theta[:1]) * d.has_level + d.discretisation_error_db(theta[:1]) for d in (optimiser, fine)]
-    np.testing.assert_allclose(*levels, atol=5e-3)
+    corrected = [
+        model.level_jacobians(theta[:1])[0] * model.has_level + model.discretisation_error_db(theta[:1])
+        for model in (coarse, LevelModel(problem()))
+    ]
+    np.testing.assert_allclose(*corrected, atol=5e-3)
 
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
-    optimiser = Optimiser(problem(), string(), LEVELS)
-    candidates = optimiser.minimise(
-        optimiser.initialise(samples(optimiser, 6), [initial_hyperparameters(optimiser)]), 0.0, 60
-    )
-    F = optimiser.total(candidates)
+    objective = of_levels()
+    candidates = minimise(objective, objective.start(samples(objective, 6), [wide()]), Options(60))
+    F = objective.total(candidates)
     assert (np.diff(F) >= 0).all()
-    _, gradient, curvature = optimiser.prior(candidates.theta)
-    derivatives = candidates.level.derivatives
-    gradient, curvature = gradient + derivatives.gradient, curvature + derivatives.curvature
-    free = optimiser.is_free & ~problem().parametrisation.at_bound(candidates.theta[0])
+    gradient, curvature = objective.gradient(candidates), objective.curvature(candidates)
+    free = objective.free & ~problem().parametrisation.at_bound(candidates.theta[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     left = 0.5 * g @ np.linalg.solve(H, g)
     assert left < 1e-2  # remaining decrease of F
-    assert optimiser.predicted_decrease(candidates)[0] == pytest.approx(left)
+    assert predicted_decrease(objective, candidates)[0] == pytest.approx(left)
     # Half a standard deviation away along any parameter, with the others fixed, F predicts to fall by what it rose.
     away = np.repeat(candidates.theta[:1], free.sum(), axis=0)
     away[:, free] += 0.5 * np.diag(1 / np.sqrt(np.diag(H)))
     candidates = candidates.take(np.zeros(len(away), int))
-    candidates = optimiser.initialise(away, candidates.phi, candidates.w)
-    rise = optimiser.total(candidates) - F[0]
-    np.testing.assert_allclose(optimiser.predicted_decrease(candidates), rise, rtol=0.2, atol=0.02)
+    candidates = objective.start(away, candidates.phi, candidates.w)
+    rise = objective.total(candidates) - F[0]
+    np.testing.assert_allclose(predicted_decrease(objective, candidates), rise, rtol=0.2, atol=0.02)
 
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():
@@ -175,19 +184,18 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
     first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
     assert first.sd(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
-    optimiser, best = one.minima.optimiser, one.minima.candidates.take(np.array([0]))
+    objective, best = Objective.complete(low), one.minima.candidates.take(np.array([0]))
     inner = np.flatnonzero(cov.diagonal() > 0)
     theta = np.tile(u.log_values(one.theta), (2, 1))
     theta[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
-    moved = optimiser.initialise(u.from_log_values(theta), best.phi, best.w, best.offset)
+    moved = objective.start(u.from_log_values(theta), best.phi, best.w, best.offset)
     for _ in range(20):  # until φ and w have converged
-        parts = (optimiser._update_nuisances(*pair, 0.0) for pair in zip(optimiser.tables, moved.parts, strict=True))
-        moved = replace(moved, parts=tuple(parts))
-    assert (optimiser.total(moved) - one.minima.nll[0]).mean() == pytest.approx(0.5, abs=0.15)
-    document = build_result(InferenceResult(low, one, 0, None)).fit
-    assert document.parameters["K_H"].status == "at-bound"
-    assert document.invariants["F/M_S"].status in ("at-bound", "not-identifiable")
-    assert document.parameters["K_H"].interval is None
+        moved = objective.step_nuisances(moved, 0.0)
+    assert (objective.total(moved) - one.minima.nll[0]).mean() == pytest.approx(0.5, abs=0.15)
+    fit = build_result(InferenceResult(low, one, 0, None)).fit
+    assert fit.parameters["K_H"].status == "at-bound"
+    assert fit.invariants["F/M_S"].status in ("at-bound", "not-identifiable")
+    assert fit.parameters["K_H"].interval is None
 
 
 def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
@@ -201,12 +209,12 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    optimiser, u = Optimiser(problem(), string(), LEVELS), problem().parametrisation
+    u = problem().parametrisation
     theta = np.tile(u.mean, (4, 1))
     theta[1, u.index_of("M_H")] += 0.001 * u.sd[u.index_of("M_H")]
     theta[2, u.index_of("M_H")] += 0.5 * u.sd[u.index_of("M_H")]
     theta[3, u.index_of("p")] += 0.5 * u.sd[u.index_of("p")]
-    candidates = optimiser.initialise(u.project(theta), [initial_hyperparameters(optimiser)])
+    candidates = of_levels().start(u.project(theta), [wide()])
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(candidates)]
     assert len(candidates) == 4
     assert deduplicate(candidates, u, scores, 6.0) == [2, 1]
@@ -225,22 +233,25 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
     np.testing.assert_array_equal(posterior.mean, mean[[2, 0]])
 
 
-def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
-    optimiser = Optimiser(problem(), string(), LEVELS)
-    model = optimiser.model
-    monkeypatch.setattr(optimiser, "model", lambda *x: (model(*x)[0], np.zeros(len(x[0]), bool)))
-    with pytest.raises(FitError, match=r"\[bounds\]"):
-        multistart(optimiser, 0, problem().parametrisation.mean)
+@pytest.fixture
+def endless(monkeypatch):
+    """No contact ends."""
+    residuals = LevelModel.residuals
+    monkeypatch.setattr(LevelModel, "residuals", lambda *x: (residuals(*x)[0], np.zeros(len(x[1]), bool)))
 
 
-def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatch):
-    held = Optimiser(problem(), string(), LEVELS)
-    candidates = held.initialise(problem().parametrisation.mean[None], [initial_hyperparameters(held)])
-    own = fit_string(problem())
-    model = Optimiser.model
-    monkeypatch.setattr(Optimiser, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
+def test_a_search_in_which_no_contact_ends_says_so(endless):
     with pytest.raises(FitError, match=r"\[bounds\]"):
-        refine_minima(problem(), candidates, held, own)
+        multistart(of_levels(), 0, problem().parametrisation.mean)
+
+
+def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(request):
+    objective = of_levels()
+    candidates = objective.start(problem().parametrisation.mean[None], [wide()])
+    own, scores = fit_string(problem()), objective.total(candidates)
+    request.getfixturevalue("endless")
+    with pytest.raises(FitError, match=r"\[bounds\]"):
+        refine_minima(Objective.complete(problem()), candidates, scores, own)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.3, 0.6), (3.0, 4.0)])
@@ -290,13 +301,11 @@ def test_where_everything_is_known_nothing_is_left_to_fit():
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     """With the true hammer at a wrong velocity, the best of the fine grid is the true velocity."""
-    p = problem()
-    optimiser = Optimiser(p, string(), LEVELS)
     theta = found().theta.copy()
     theta[: len(string())] = string()
-    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
-    at = p.parametrisation.shared
+    at = problem().parametrisation.shared
     for factor in (0.2, 0.5, 3.0):
         away = theta.copy()
         away[at] += np.log(factor)
-        assert rescan_velocities(optimiser, away[None], [surrogate])[0][0, at] == pytest.approx(theta[at], abs=0.01)
+        rescanned = rank_hammers(of_levels(), away[None], FINE_VELOCITIES, [surrogate()])[0]
+        assert rescanned[0, at] == pytest.approx(theta[at], abs=0.01)

@@ -11,7 +11,7 @@ from batch_cases import struck
 
 from pianofit import fit
 from pianofit.analysis import analyse
-from pianofit.inference.problem import build_problem
+from pianofit.inference import build_problem
 from pianofit.recording.recording import load_recording
 from pianofit.result.velocity_check import brightening, contradictory_velocities
 from pianofit.setup import RecordingInfo, Setup

@@ -17,20 +17,22 @@ import pytest
 from pianofit import ParameterError, Setup, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.felt import DEFAULT_LAW, LAWS
-from pianofit.inference import InferenceResult, build_problem, map_estimate, nuts
-from pianofit.inference.density import density_context, log_density, random_start, reflect_into_bounds
-from pianofit.inference.intervals import (
+from pianofit.inference import (
+    Estimate,
+    FitProblem,
+    InferenceResult,
+    Interval,
+    build_problem,
     check_intervals,
-    compute_intervals,
-    parameter_indices,
-    reported_parameters,
-    unbounded_warnings,
+    map_estimate,
+    nuts,
 )
-from pianofit.inference.laplace import laplace
-from pianofit.inference.map_estimate import Estimate
-from pianofit.inference.optimiser import Optimiser
+from pianofit.inference.estimate import compute_intervals
+from pianofit.inference.laplace import laplace, unbounded_warnings
+from pianofit.inference.nuts import density_context, log_density, random_start, reflect_into_bounds
+from pianofit.inference.objective import Objective
+from pianofit.inference.optimiser import Options, minimise
 from pianofit.inference.parametrisation import names_of
-from pianofit.inference.problem import FitProblem
 from pianofit.inference.profile import DELTA_NLL_95, _Profile, profiles
 from pianofit.parameters import STRING_NAMES
 from pianofit.result import build_result
@@ -70,10 +72,12 @@ def profiled():
     return view
 
 
-def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
+def halves(intervals: dict[str, Interval], found: Estimate) -> dict[str, tuple[float, ...]]:
     """Distance of both ends from the minimum, in Laplace's standard deviations × 1.96; (-1, 1) if they agree."""
-    posterior, names = found.posterior, reported_parameters(posed())
-    ends = {name: np.log(entries[name]["interval"]) - posterior.mean[0, i] for name, i in names.items()}
+    posterior, names = found.posterior, posed().reported_parameters
+    ends = {
+        name: np.log([intervals[name].low, intervals[name].high]) - posterior.mean[0, i] for name, i in names.items()
+    }
     return {name: tuple(ends[name] / (1.96 * posterior.covariance[0, i, i] ** 0.5)) for name, i in names.items()}
 
 
@@ -96,12 +100,12 @@ def test_invariants_are_those_of_the_view():
 @pytest.mark.parametrize("law", LAWS)
 def test_names_are_those_of_the_felt_s_law(law):
     """The covariance and the draws contain only the parameters of the felt law."""
-    names = parameter_indices(build_problem([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
+    names = build_problem([measured()], [analyse(measured())], Setup(length=1.0, felt=law)).parameter_indices
     assert {*names} == {*STRING_NAMES, *LAWS[law].parameters, "M_H", "x0", "width", "v_H0"}
     if law == DEFAULT_LAW.name:
         covariance = build_result(InferenceResult(posed(), fitted(), 0)).covariance
         assert covariance.names == tuple(names)
-        at = reported_parameters(posed())["M_H"]
+        at = posed().reported_parameters["M_H"]
         assert covariance["M_H", "M_H"] == fitted().posterior.covariance[0, at, at]
 
 
@@ -120,7 +124,7 @@ def test_an_interval_ends_at_its_box_and_says_so():
 
 @pytest.mark.slow
 def test_profiles_of_a_calibrated_twin_agree_with_laplace():
-    found = halves(profiled().entries, fitted())
+    found = halves(profiled().intervals, fitted())
     assert set(found) == {*HAMMER, "c", "kappa", "b1", "b2", "width"}
     for name, ends in found.items():
         assert ends == pytest.approx((-1, 1), abs=0.15 if name in HAMMER else 0.25), name
@@ -129,16 +133,15 @@ def test_profiles_of_a_calibrated_twin_agree_with_laplace():
 
 def test_a_profile_rises_to_its_ends_and_says_how():
     for name, diagnostics in profiled().diagnostics["profile"].items():
-        entry = profiled().entries[name]
+        interval = profiled().intervals[name]
         values, rises = np.array(diagnostics["points"]).T
         assert (np.diff(values) > 0).all()
         assert rises.min() > -1e-3
         assert rises[[0, -1]] == pytest.approx(DELTA_NLL_95, rel=0.3)
-        assert entry["interval_by"] == "profile"
-        assert entry["interval_open"] == []
+        assert (interval.method, interval.unbounded) == ("profile", ())
         assert diagnostics["evaluations"] == len(values)
         # Where F is quadratic in the logarithm, √(rise) is linear in it.
-        low, high = entry["interval"]
+        low, high = interval.low, interval.high
         inner = (values > low) & (values < high) & (rises > 0.1)
         distance = np.abs(np.log(values / values[rises.argmin()]))
         reach = np.abs(np.log(np.array([low, high]) / values[rises.argmin()]))
@@ -148,16 +151,12 @@ def test_a_profile_rises_to_its_ends_and_says_how():
 
 @pytest.mark.parametrize("name", ["p", "K_H"])
 def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
-    i, u = reported_parameters(posed())[name], posed().parametrisation
+    i, u = posed().reported_parameters[name], posed().parametrisation
     mean, sd = fitted().posterior.mean[0, i], fitted().posterior.covariance[0, i, i] ** 0.5
     bound = mean + sd
-    if i == FORCE:
-        bounded = replace(u, stiffness=(u.stiffness[0], bound))
-    else:
-        upper = u.upper.copy()
-        upper[i] = bound
-        bounded = replace(u, upper=upper)
-    profile = _Profile(replace(posed(), parametrisation=bounded), fitted())
+    upper = u.upper.copy()
+    upper[i] = bound
+    profile = _Profile(replace(posed(), parametrisation=replace(u, upper=upper)), fitted())
     branch = profile.trace_branch(i, 1.0)
     assert branch.open
     assert branch.end == bound
@@ -188,8 +187,8 @@ def test_a_profile_that_finds_lower_ground_says_so():
 
 
 def test_open_ends_are_named():
-    ends = {"c": ["low"], "p": ["low", "high"], "mu": []}
-    messages = unbounded_warnings({name: {"interval_open": sides} for name, sides in ends.items()})
+    ends = {"c": ("low",), "p": ("low", "high"), "mu": ()}
+    messages = unbounded_warnings({name: Interval(1.0, 2.0, "profile", sides) for name, sides in ends.items()})
     assert len(messages) == 2
     assert re.search(r"\bp: .*whole", messages[0])
     assert re.search(r"\bc below\b", messages[1])
@@ -198,11 +197,11 @@ def test_open_ends_are_named():
 @pytest.mark.slow
 def test_a_fit_has_the_intervals_it_was_asked_for():
     result = fit(measured(), setup=setup(), intervals="profile")
-    for name, entry in profiled().entries.items():
+    for name, interval in profiled().intervals.items():
         quantity = result.parameters[name]
         assert quantity.interval_method == "profile"
-        np.testing.assert_allclose(quantity.interval, entry["interval"], rtol=1e-3)
-    assert set(result.fit.diagnostics.profile) == set(profiled().entries)
+        np.testing.assert_allclose(quantity.interval, [interval.low, interval.high], rtol=1e-3)
+    assert set(result.fit.diagnostics.profile) == set(profiled().intervals)
 
 
 # --- the density that is sampled --------------------------------------------------------------------------------------
@@ -256,10 +255,10 @@ def known_excess() -> tuple[FitProblem, Estimate]:
     pairs = zip((o.level, o.frequency, o.decay), best.phi, strict=True)
     tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
-    optimiser = Optimiser(problem)
-    candidates = optimiser.minimise(optimiser.initialise(best.theta, best.phi, best.w, best.offset), 0.0, 60)
-    minima = minima._replace(optimiser=optimiser, candidates=candidates, nll=optimiser.total(candidates))
-    return problem, Estimate(minima, laplace(problem, minima), 0)
+    objective = Objective.complete(problem)
+    candidates = minimise(objective, objective.start(best.theta, best.phi, best.w, best.offset), Options(60))
+    minima = minima._replace(candidates=candidates, nll=objective.total(candidates))
+    return problem, Estimate(minima, laplace(objective, minima), 0)
 
 
 @pytest.mark.slow
@@ -268,7 +267,7 @@ def test_all_three_agree_where_the_excess_is_known():
     view, profile = nuts.sample_posterior(problem, found, 0), profiles(problem, found)
     assert view.draws is not None
     diagnostics = view.diagnostics["posterior"]
-    by_profile, by_draws = (halves(each.entries, found) for each in (profile, view))
+    by_profile, by_draws = (halves(each.intervals, found) for each in (profile, view))
     for name, ends in by_draws.items():
         # An end of 1500 independent draws is itself off by 0.035 of a half interval; b2 and the width are skew.
         assert by_profile[name] == pytest.approx((-1, 1), abs=0.05 if name in HAMMER else 0.2), name
@@ -295,10 +294,10 @@ def test_an_end_that_the_box_cuts_off_is_open():
     upper[i] = fitted().posterior.mean[0, i] + 0.5 * sd
     normal = fitted().posterior.mean[0, i] + sd * np.random.default_rng(0).normal(size=(4, 4000))
     log = np.where(normal > upper[i], 2 * upper[i] - normal, normal)
-    entry = nuts._entry(replace(posed(), parametrisation=replace(u, upper=upper)), i, log)
-    assert entry["interval_open"] == ["high"]
-    assert np.log(entry["interval"][1]) == pytest.approx(upper[i])
-    assert nuts._entry(posed(), i, normal)["interval_open"] == []
+    interval = nuts._interval(replace(u, upper=upper).range(i), log)
+    assert interval.unbounded == ("high",)
+    assert np.log(interval.high) == pytest.approx(upper[i])
+    assert nuts._interval(u.range(i), normal).unbounded == ()
 
 
 def test_chains_that_have_not_mixed_are_reported():

@@ -148,7 +148,7 @@ def _check(
         if recipe != "default" and len(recordings) > 1:
             raise ParameterError(f"recipe={recipe!r} fits one recording; {len(recordings)} were given")
     if intervals != "laplace":
-        from .inference.intervals import check_intervals
+        from .inference import check_intervals
 
         check_intervals(intervals, recipe)
 

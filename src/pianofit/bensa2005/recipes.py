@@ -17,8 +17,7 @@ from typing import NamedTuple
 from ..analysis import Analysis
 from ..errors import ParameterError, check_range, check_type
 from ..felt import DEFAULT_LAW
-from ..inference import Progress
-from ..inference.initial_values import InitialValues, starting_values
+from ..inference import InitialValues, Progress, starting_values
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result

@@ -22,10 +22,8 @@ from ..analysis import Analysis
 from ..criterion import band_of, damping_for
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
-from ..inference.initial_values import InitialValues
-from ..inference.multistart import NO_HAMMER
+from ..inference import NO_HAMMER, InitialValues, simulation_grid
 from ..inference.priors import HAMMER_SD
-from ..inference.problem import simulation_grid
 from ..model import simulate
 from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival

@@ -12,14 +12,12 @@ from ..errors import OutputError, ParameterError
 from ..io.files import check_target, printable
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import Built, Force, Json, Prefix, number, whole
+from .options import Built, Force, Json, Prefix, integer, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..export import ExportSummary
     from ..export.faust import FaustSummary
-
-__all__ = ["export"]
 
 # Options whose names differ from those of `ExportOptions`.
 OPTION_NAMES = {"layers": "--velocity-layers", "kind": "--samples"}
@@ -27,37 +25,17 @@ OPTION_NAMES = {"layers": "--velocity-layers", "kind": "--samples"}
 
 def export(
     built: Built,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR|FILE.DSP", help="Folder for the sampler, or file for the Faust program.")
-    ],
+    out: Annotated[Path, text("DIR|FILE.DSP", "Folder for the sampler, or file for the Faust program.")],
     prefix: Prefix = None,
-    to: Annotated[
-        str, typer.Option("--format", metavar="FORMAT", help="Format: sfz, decent-sampler or faust.")
-    ] = "sfz",
+    to: Annotated[str, text("FORMAT", "Format: sfz, decent-sampler or faust.", "--format")] = "sfz",
     keys: Annotated[
-        str,
-        typer.Option(
-            metavar="KEYS", help="Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed."
-        ),
+        str, text("KEYS", "Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed.")
     ] = "every 3",
-    licence: Annotated[
-        str | None, typer.Option(metavar="WORDS", help="Licence of the recordings, for the exported files.")
-    ] = None,
-    velocity_layers: Annotated[
-        int | None, typer.Option(parser=whole, metavar="N", help="Velocity layers of a sampler; default 8.")
-    ] = None,
-    samples: Annotated[
-        str | None,
-        typer.Option(metavar="flac|wav", help="Format of the samples, 24 bit. Default: by --format."),
-    ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(parser=number, metavar="S", help="Longest sample in seconds; default 8."),
-    ] = None,
-    rate: Annotated[
-        int | None,
-        typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate of a sampler in Hz; default 48000."),
-    ] = None,
+    licence: Annotated[str | None, text("WORDS", "Licence of the recordings, for the exported files.")] = None,
+    velocity_layers: Annotated[int | None, integer("N", "Velocity layers of a sampler; default 8.")] = None,
+    samples: Annotated[str | None, text("flac|wav", "Format of the samples, 24 bit. Default: by --format.")] = None,
+    seconds: Annotated[float | None, real("S", "Longest sample in seconds; default 8.")] = None,
+    rate: Annotated[int | None, integer("HZ", "Sample rate of a sampler in Hz; default 48000.", "--rate")] = None,
     fill: Annotated[
         bool, typer.Option(help="Sample additional keys, so that no key between the chosen ones is silent.")
     ] = True,

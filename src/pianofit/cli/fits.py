@@ -27,14 +27,12 @@ from ..progress import progress_bar
 from ..recording.recording import load_recording, load_recordings, readable_formats
 from ..setup import Setup, load_setup
 from . import options
-from .options import choice, whole
+from .options import choice, text, whole
 from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
     from ..result.cross_validation import CrossValidation
-
-__all__ = ["analyse", "compare", "cross_validate", "fit", "predict"]
 
 
 def analyse(
@@ -92,7 +90,7 @@ def _table(analysis: Analysis) -> str:
 
 def fit(
     recordings: options.Recordings,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for fit.json, the sounds and the page.")],
+    out: Annotated[Path, text("DIR", "Folder for fit.json, the sounds and the page.")],
     note: options.Note = None,
     f0: options.Pitch = None,
     setup: options.SetupFile = None,
@@ -167,7 +165,7 @@ class PredictionReport:
 def predict(
     fit: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json, or its folder.")],
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE.WAV", help="File for the predicted sound.")] = None,
+    out: Annotated[Path | None, text("FILE.WAV", "File for the predicted sound.")] = None,
     channel: options.Channel = "average",
     force: options.Force = False,
     as_json: options.Json = False,
@@ -212,9 +210,7 @@ def predict(
 
 def cross_validate(
     recordings: options.Recordings,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the fit of all recordings and its page.")
-    ] = None,
+    out: Annotated[Path | None, text("DIR", "Folder for the fit of all recordings and its page.")] = None,
     note: options.Note = None,
     f0: options.Pitch = None,
     setup: options.SetupFile = None,
@@ -259,9 +255,7 @@ def _left_out_table(held_out: CrossValidation) -> str:
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="A fit: its folder, or its fit.json.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another fit.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.SVG", help="File for a figure of both felts: SVG, PNG or PDF.")
-    ] = None,
+    out: Annotated[Path | None, text("FILE.SVG", "File for a figure of both felts: SVG, PNG or PDF.")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:

@@ -11,10 +11,8 @@ from ..errors import ParameterError
 from ..io.files import output_folder
 from ..io.number_format import counted
 from ..parameters import check_seed
-from .options import Force, Json, Seed, number, whole
+from .options import Force, Json, Seed, integer, real, text
 from .terminal import print_error, print_result
-
-__all__ = ["listen"]
 
 
 def listen(
@@ -25,24 +23,17 @@ def listen(
         Path | None,
         typer.Argument(metavar="B", help="A folder with files of the same names, or the fits of the recordings in A."),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the page, listen.html, and its key.")
-    ] = None,
+    out: Annotated[Path | None, text("DIR", "Folder for the page, listen.html, and its key.")] = None,
     reference: Annotated[
-        Path | None,
-        typer.Option(metavar="R", help="A third folder: the test also asks whether A or B is nearer to its sounds."),
+        Path | None, text("R", "A third folder: the test also asks whether A or B is nearer to its sounds.")
     ] = None,
-    trials: Annotated[
-        int, typer.Option(parser=whole, metavar="N", help="Number of questions of each kind, over all sounds.")
-    ] = 16,
-    seconds: Annotated[float, typer.Option(parser=number, metavar="S", help="Length of each sound in seconds.")] = 4.0,
+    trials: Annotated[int, integer("N", "Number of questions of each kind, over all sounds.")] = 16,
+    seconds: Annotated[float, real("S", "Length of each sound in seconds.")] = 4.0,
     seed: Seed = 0,
     exclude_invalid: Annotated[
         bool, typer.Option("--exclude-invalid", help="Leave out sounds that fail a check, instead of stopping.")
     ] = False,
-    result: Annotated[
-        list[Path], typer.Option(metavar="ANSWERS.json", help="Count saved answers; may be given several times.")
-    ] = [],  # noqa: B006
+    result: Annotated[list[Path], text("ANSWERS.json", "Count saved answers; may be given several times.")] = [],  # noqa: B006
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -63,16 +54,8 @@ def listen(
     with output_folder(out, force) as folder:
         from ..listening.sounds import listening_test
 
-        test = listening_test(
-            a,
-            b,
-            folder,
-            reference=reference,
-            trials=trials,
-            seconds=seconds,
-            seed=seed,
-            exclude_invalid=exclude_invalid,
-        )
+        sizes = {"trials": trials, "seconds": seconds, "seed": seed}
+        test = listening_test(a, b, folder, reference=reference, **sizes, exclude_invalid=exclude_invalid)
     for line in test.failed:
         print_error(f"left out: {line}")
     if test.alone:

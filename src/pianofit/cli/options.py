@@ -11,11 +11,6 @@ import typer
 from ..felt import LAWS
 from ..recording.recording import readable_formats
 
-__all__ = [
-    "RATE", "Built", "Channel", "Felt", "Force", "Json", "Note", "Pitch", "Prefix", "Recordings", "Seconds", "Seed",
-    "SetupFile", "Sound", "Velocity", "number", "choice", "whole",
-]  # fmt: skip
-
 
 def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
     """Return a parser that raises a usage error for an invalid text."""
@@ -32,6 +27,21 @@ def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
 number, whole = parse_as(float, "number"), parse_as(int, "whole number")
 
 
+def text(metavar: str, words: str, *names: str) -> Any:
+    """Return an option for a text or a path, with its help `words`."""
+    return typer.Option(*names, metavar=metavar, help=words)
+
+
+def real(metavar: str, words: str, *names: str) -> Any:
+    """Return an option for a number."""
+    return typer.Option(*names, parser=number, metavar=metavar, help=words)
+
+
+def integer(metavar: str, words: str, *names: str) -> Any:
+    """Return an option for a whole number."""
+    return typer.Option(*names, parser=whole, metavar=metavar, help=words)
+
+
 def choice(*words: str) -> Callable[[str], str]:
     """Return a parser that accepts only these words."""
 
@@ -44,25 +54,14 @@ def choice(*words: str) -> Callable[[str], str]:
 
 
 Built = Annotated[
-    Path,
-    typer.Argument(metavar="DIR|INSTRUMENT.JSON", help="The folder of a batch, or an instrument.json."),
+    Path, typer.Argument(metavar="DIR|INSTRUMENT.JSON", help="The folder of a batch, or an instrument.json.")
 ]
-Prefix = Annotated[
-    str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR has several, such as cp80.")
-]
+Prefix = Annotated[str | None, text("PREFIX", "Which instrument, if DIR has several, such as cp80.")]
 Note = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NOTE", help="Note: F#2, Fs2, Gb2 or its MIDI number, 42. Default: detected in the recording."
-    ),
+    str | None, text("NOTE", "Note: F#2, Fs2, Gb2 or its MIDI number, 42. Default: detected in the recording.")
 ]
-Pitch = Annotated[
-    float | None,
-    typer.Option("--f0", parser=number, metavar="HZ", help="Pitch of the note in Hz, instead of --note."),
-]
-Channel = Annotated[
-    str, typer.Option(metavar="CHANNEL", help="Channel of the file: average, left, right, or a number from 1.")
-]
+Pitch = Annotated[float | None, real("HZ", "Pitch of the note in Hz, instead of --note.", "--f0")]
+Channel = Annotated[str, text("CHANNEL", "Channel of the file: average, left, right, or a number from 1.")]
 Recordings = Annotated[
     list[Path],
     typer.Argument(
@@ -71,21 +70,18 @@ Recordings = Annotated[
 ]
 SetupFile = Annotated[
     Path | None,
-    typer.Option(
-        metavar="SETUP.TOML",
-        help="Given values in SI units: [string] length, mass; [strike] position, width; "
+    text(
+        "SETUP.TOML",
+        "Given values in SI units: [string] length, mass; [strike] position, width; "
         "[pickup] quantity, position, scale; [fixed], [initial], [bounds] by parameter (docs/files.md).",
     ),
 ]
-Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="WAV file to write.")]
+Sound = Annotated[Path, text("FILE.WAV", "WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[str | None, typer.Option(parser=choice(*LAWS), metavar="LAW", help=f"Felt law: {', '.join(LAWS)}.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output in --out.")]
-Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]
-Seed = Annotated[
-    int,
-    typer.Option(parser=whole, metavar="N", help="Seed of all random numbers. The same seed gives the same result."),
-]
-Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound in seconds.")]
+Velocity = Annotated[float | None, real("M/S", "Hammer velocity in m/s.")]
+Seed = Annotated[int, integer("N", "Seed of all random numbers. The same seed gives the same result.")]
+Seconds = Annotated[float, real("S", "Length of the sound in seconds.")]
 # For an int, or for None where a fit has its own rate.
-RATE = typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")
+RATE = integer("HZ", "Sample rate in Hz.", "--rate")

@@ -21,13 +21,11 @@ from ..io.number_format import format_like, format_with_interval
 from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
-from .options import Force, Json, Seed, number
+from .options import Force, Json, Seed, real
 from .terminal import add, print_error, print_result
 
 if TYPE_CHECKING:
     from ..result import Result
-
-__all__ = ["app", "main", "run"]
 
 # Columns of a help text, if the terminal has them; and of the descriptions that a shell completes. A description must
 # stay on one line: fish reads a second line as another command.
@@ -67,10 +65,7 @@ def _all(
 
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write to.")] = Path("pianofit-demo"),
-    noise: Annotated[
-        float,
-        typer.Option(parser=number, metavar="DB", help="Level of the noise below the rms of the first second, dB."),
-    ] = 60.0,
+    noise: Annotated[float, real("DB", "Level of the noise below the rms of the first second, dB.")] = 60.0,
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,

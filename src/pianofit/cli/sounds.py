@@ -12,12 +12,10 @@ from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
 from ..setup import STRING_PICKUPS
-from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
+from .options import RATE, Force, Seconds, Seed, Sound, Velocity, real, text
 
 if TYPE_CHECKING:
     from ..literature import Preset
-
-__all__ = ["render", "simulate"]
 
 # Units of the recorded quantities. The model represents pressure by the force on the bridge.
 UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
@@ -26,49 +24,31 @@ UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure"
 def simulate(
     out: Sound,
     preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="A published string and hammer, such as bensa-final. An unknown name lists all."
-        ),
+        str | None, text("NAME", "A published string and hammer, such as bensa-final. An unknown name lists all.")
     ] = None,
     typical: Annotated[
-        str | None,
-        typer.Option(metavar="NOTE", help="Instead of --preset: typical string and hammer of a key, such as C4."),
+        str | None, text("NOTE", "Instead of --preset: typical string and hammer of a key, such as C4.")
     ] = None,
     change: Annotated[
-        list[str],
-        typer.Option("--set", metavar="NAME=NUMBER", help="A parameter to change; may be given several times."),
+        list[str], text("NAME=NUMBER", "A parameter to change; may be given several times.", "--set")
     ] = [],  # noqa: B006
     velocity: Velocity = None,
     seconds: Seconds = 3.0,
     rate: Annotated[int, RATE] = 44_100,
     quantity: Annotated[
-        str, typer.Option(metavar="QUANTITY", help="Quantity of the pickup: velocity, displacement or bridge-force.")
+        str, text("QUANTITY", "Quantity of the pickup: velocity, displacement or bridge-force.")
     ] = "bridge-force",
-    strike: Annotated[
-        float | None,
-        typer.Option(parser=number, metavar="M", help="Strike position, m from the agraffe."),
-    ] = None,
+    strike: Annotated[float | None, real("M", "Strike position, m from the agraffe.")] = None,
     pickup: Annotated[
-        float | None,
-        typer.Option(
-            parser=number, metavar="M", help="Position of a velocity or displacement pickup, m from the agraffe."
-        ),
+        float | None, real("M", "Position of a velocity or displacement pickup, m from the agraffe.")
     ] = None,
     scale: Annotated[
-        float | None,
-        typer.Option(
-            parser=number, metavar="X", help="m/s, m or N at digital full scale. Default: the peak is at -1 dBFS."
-        ),
+        float | None, real("X", "m/s, m or N at digital full scale. Default: the peak is at -1 dBFS.")
     ] = None,
-    noise: Annotated[
-        float | None,
-        typer.Option(parser=number, metavar="DB", help="Level of white noise below the rms of the first second, dB."),
-    ] = None,
+    noise: Annotated[float | None, real("DB", "Level of white noise below the rms of the first second, dB.")] = None,
     seed: Seed = 0,
     setup_out: Annotated[
-        Path | None,
-        typer.Option(metavar="SETUP.TOML", help="Also write the setup for a calibrated fit of the sound."),
+        Path | None, text("SETUP.TOML", "Also write the setup for a calibrated fit of the sound.")
     ] = None,
     force: Force = False,
 ) -> None:
@@ -87,10 +67,8 @@ def simulate(
     enable_program_cache()
     string, hammer, geometry = _apply_changes(_load_preset(preset, typical), change, velocity)
     geometry = _apply_positions(geometry, quantity, strike, pickup)
-    recording = synthetic_recording(
-        string, hammer, geometry, rate=rate, seconds=seconds, quantity=quantity, scale=scale, noise_db=noise, seed=seed,
-        name=out.name,
-    )  # fmt: skip
+    sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise, "seed": seed}
+    recording = synthetic_recording(string, hammer, geometry, **sizes, name=out.name)
     write_file(out, encode_wav(recording.samples, rate), force)
     if setup_out is not None:
         write_file(setup_out, recording.setup_text.encode(), force)
@@ -141,20 +119,20 @@ def _apply_positions(geometry: Geometry, quantity: str, strike: float | None, pi
 
 def _assignments(change: list[str]) -> dict[str, float]:
     values = {}
-    for text in change:
-        name, _, number = (part.strip() for part in text.partition("="))
+    for given in change:
+        name, _, value = (part.strip() for part in given.partition("="))
         if name in values:
-            raise ParameterError(f"--set {text!r}: {name} is set twice; remove one of them")
+            raise ParameterError(f"--set {given!r}: {name} is set twice; remove one of them")
         try:
-            values[name] = float(number)
+            values[name] = float(value)
         except ValueError:
-            raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1") from None
+            raise ParameterError(f"--set {given!r} must be NAME=NUMBER, such as c=304.1") from None
     return values
 
 
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json.")],
-    velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
+    velocity: Annotated[float, real("M/S", "Hammer velocity in m/s.")],
     out: Sound,
     seconds: Seconds = 6.0,
     rate: Annotated[int | None, RATE] = None,

@@ -14,8 +14,6 @@ from typer.core import TyperCommand
 from ..errors import PianofitError
 from ..io.files import printable
 
-__all__ = ["add", "print_error", "print_result"]
-
 
 class _Command(TyperCommand):
     """Command whose help shows arguments by their metavar, without braces and types."""

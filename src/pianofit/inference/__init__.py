@@ -1,14 +1,35 @@
 """Inference of a string and a hammer from recordings: one objective, one search, one posterior.
 
-`likelihood` is the objective, minus the log marginal posterior of tables of partials. `problem` builds it for the
-recordings of a fit. `multistart` and `refine` find its minima. `laplace` describes the posterior at them, and
-`intervals` gives intervals by other methods. `run_inference` does all of this.
+`likelihood` is the objective F, minus the log marginal posterior of tables of partials. `problem` builds it for the
+recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplace` describes the posterior at them, and
+`profile` and `nuts` give intervals by other methods. `run_inference` does all of this.
 """
 
 from __future__ import annotations
 
-from .map_estimate import Estimate, Progress, map_estimate
-from .pipeline import InferenceResult, run_inference
-from .problem import FitProblem, build_problem
+from ..progress import Progress
+from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
+from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
+from .multistart import NO_HAMMER
+from .priors import InitialValues, starting_values
+from .problem import FitProblem, build_problem, simulation_grid
 
-__all__ = ["Estimate", "InferenceResult", "FitProblem", "Progress", "map_estimate", "run_inference", "build_problem"]
+__all__ = [
+    "NO_HAMMER",
+    "Estimate",
+    "FitProblem",
+    "InferenceResult",
+    "InitialValues",
+    "Interval",
+    "IntervalResult",
+    "Minima",
+    "ObservedValues",
+    "Posterior",
+    "Progress",
+    "build_problem",
+    "check_intervals",
+    "map_estimate",
+    "run_inference",
+    "simulation_grid",
+    "starting_values",
+]

@@ -1,8 +1,8 @@
-"""Levels of partials by the model, in batches of strokes: one string, one hammer, one velocity each.
+"""The model of every table at many θ: levels in batches of strokes, and frequencies and decays of the string.
 
-Every fit, of one recording or of many, is a number of strokes, so all fits share the same compiled programs. A stroke
-[entries] holds the parameters of the hammer and its contact, and the logarithm of the velocity. Their order is that of
-`parametrisation.names_of` without the string.
+A stroke [entries] holds the parameters of the hammer and its contact, and the logarithm of the velocity. Their order is
+that of `parametrisation.names_of` without the string. Every fit, of one recording or of many, is a number of strokes,
+so all fits share the same compiled programs.
 """
 
 from __future__ import annotations
@@ -10,56 +10,35 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..felt import FeltLaw
 from ..model.contact import strike_final_state
 from ..model.free_response import LEVEL_DECAY, LEVEL_SPAN
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
-from ..parameters import Geometry, String
+from ..model.simulate import MAX_MODES
+from ..parameters import String
 from ..threads import cores
+from .observation_tables import CENTS
 from .parametrisation import STRING_SIZE
-
-__all__ = [
-    "BATCH_SIZE",
-    "StaticConfig",
-    "ModelInputs",
-    "run_in_batches",
-    "levels",
-    "levels_per_string",
-    "level_jacobians_per_string",
-    "thread_pool",
-    "level_jacobians",
-]
+from .problem import FitProblem, ModelInputs, StaticConfig
 
 # Strokes of one call: enough to fill vector units. With more, short contacts would wait for long ones.
 BATCH_SIZE = 8
+# The same if each stroke has its own string: the strokes of an ordinary fit.
+STRING_BATCH_SIZE = 4
+# The same for thousands of hammers: enough for matrix products.
+PRESCREEN_BATCH_SIZE = 64
 DB = 20 / np.log(10)
-
-
-class StaticConfig(NamedTuple):
-    """Static arguments of a compiled program."""
-
-    n_modes: int
-    rows: int  # partials with levels, 1 to rows
-    quantity: str
-    law: FeltLaw
-
-
-class ModelInputs(NamedTuple):
-    """Inputs that all strokes share."""
-
-    geometry: Geometry  # strike position and width are those of the stroke
-    rate: Any  # of the contact, Hz
-    log_u: Any  # log of the reference compression, m
-    steps: Any  # maximum steps of a contact, a multiple of 32
-    free: Any  # int, entries of a stroke for derivatives; -1 for a direction without effect [directions]
+# With the string fixed, steps are longer and modes fewer by this factor: a third of the time.
+STEP_COARSENING = 2
+# Refinement of the step that estimates the discretisation error of the contact, with all modes of the model.
+FINER = 4
 
 
 def _level(
@@ -157,3 +136,146 @@ def run_in_batches(
 
     parts = list(thread_pool().map(run, range(0, len(padded[0]), size)))
     return tuple(np.concatenate(column)[:count] for column in zip(*parts, strict=True))
+
+
+# --- residuals of the tables ------------------------------------------------------------------------------------------
+
+
+class LevelModel:
+    """Levels of the recordings at many θ.
+
+    With a `string` [4], it is the string of all θ, and the contact's steps are longer. Without one, every θ has its own
+    string, and every stroke the pitch offset with which it was recorded.
+    """
+
+    def __init__(self, problem: FitProblem, string: np.ndarray | None = None) -> None:
+        self.problem, self.string = problem, string
+        self.inputs, self.cfg = problem.model_inputs, problem.cfg
+        if string is not None:
+            rate, steps = self.inputs.rate / STEP_COARSENING, self.inputs.steps // STEP_COARSENING
+            self.inputs = self.inputs._replace(rate=rate, steps=steps)
+            self.cfg = self.cfg._replace(n_modes=max(self.cfg.rows, self.cfg.n_modes // STEP_COARSENING))
+        self.stroke = np.array(problem.structure.stroke)
+        self.cents = problem.observed.cents[[problem.structure.stroke.index(s) for s in range(self.stroke.max() + 1)]]
+        self.columns = problem.observed.number - 1
+        table = problem.observed.level
+        self.has_level = table.detected + 0.0  # 1 where a level or a bound of a censored partial exists [R, K]
+        self.has_level[tuple(table.censored.T)] = 1.0
+        self.strokes_computed = 0
+
+    def strokes(self, theta: np.ndarray) -> np.ndarray:
+        """Every stroke at `theta` [B, size]: [B · strokes, entries]."""
+        u = self.problem.parametrisation
+        hammers = np.repeat(theta[:, STRING_SIZE : u.shared], u.strokes, axis=0)
+        return np.concatenate([hammers, theta[:, u.shared :].reshape(-1, 1)], axis=1)
+
+    def levels(self, strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Levels of many strokes on the fixed string, dB [strokes, K], and whether contacts ended."""
+        self.strokes_computed += len(strokes)
+        batch = self.string, strokes
+        level, ended = run_in_batches(levels, batch, self.inputs, self.cfg, PRESCREEN_BATCH_SIZE)
+        return level[:, self.columns], ended
+
+    def level_jacobians(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Levels, dB [B, R, K], their derivatives [B, R, K, directions], and whether contacts ended [B]."""
+        if self.string is None:
+            program, batch, size = level_jacobians_per_string, self._strokes_with_strings(theta), STRING_BATCH_SIZE
+        else:
+            program, batch, size = level_jacobians, (self.string, self.strokes(theta)), BATCH_SIZE
+        level, slope, ended = run_in_batches(program, batch, self.inputs, self.cfg, size)
+        return self._by_recording(level), self._by_recording(slope), np.all(ended.reshape(len(theta), -1), axis=1)
+
+    def residuals(
+        self, theta: np.ndarray, offset: np.ndarray
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+        """Residuals [B, R, K] with derivatives of the model [B, R, K, size], and whether contacts ended [B].
+
+        Parameters
+        ----------
+        offset : discretisation error of the levels, dB [B, R, K].
+        """
+        u, table = self.problem.parametrisation, self.problem.observed.level
+        self.strokes_computed += len(theta) * u.strokes
+        level, slope, ended = self.level_jacobians(theta)
+        # The directions are the string's if it is not fixed, the hammer's free entries, the velocity, and padding.
+        shared = self.inputs.free[self.inputs.free >= 0][:-1] + STRING_SIZE
+        shared = shared if self.string is not None else np.append(np.arange(STRING_SIZE), shared)
+        jacobian = np.zeros((*level.shape, u.size))
+        jacobian[..., shared] = slope[..., : len(shared)]
+        for r, stroke in enumerate(self.stroke):
+            jacobian[:, r, :, u.shared + stroke] = slope[:, r, :, len(shared)]
+        jacobian *= self.has_level[..., None] * u.free
+        residual = (table.value - level - offset) * self.has_level
+        valid = ended & np.isfinite(jacobian).all(axis=(1, 2, 3))
+        residual = np.where(valid[:, None, None], residual, 0.0)
+        return [(residual, np.where(valid[:, None, None, None], jacobian, 0.0))], valid
+
+    def discretisation_error_db(self, theta: np.ndarray) -> np.ndarray:
+        """Error of the levels at `theta` [B, size] from the contact's step, dB [B, R, K]; extrapolated at order 2."""
+        inputs, cfg = self.problem.model_inputs, self.problem.cfg._replace(n_modes=MAX_MODES)
+        fine = inputs._replace(rate=inputs.rate * FINER, steps=inputs.steps * FINER)
+        batch = self._strokes_with_strings(theta)
+        finer = self._by_recording(run_in_batches(levels_per_string, batch, fine, cfg, STRING_BATCH_SIZE)[0])
+        # The search's own program, which is compiled anyway.
+        change = finer - self.level_jacobians(theta)[0]
+        shorter = (fine.rate / self.inputs.rate) ** 2
+        return change * shorter / (shorter - 1) * self.has_level
+
+    def _strokes_with_strings(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strings, pitch offsets and strokes [B · strokes, ...]."""
+        strings = np.repeat(theta[:, :STRING_SIZE], len(self.cents), axis=0)
+        return strings, np.tile(self.cents, len(theta)), self.strokes(theta)
+
+    def _by_recording(self, rows: np.ndarray) -> np.ndarray:
+        """Select every recording's columns [B, R, K, ...] from the model's rows [B · strokes, rows, ...]."""
+        return rows.reshape(-1, len(self.cents), *rows.shape[1:])[:, self.stroke][:, :, self.columns]
+
+
+class StringModel:
+    """Frequencies and decays of the string at many θ."""
+
+    def __init__(self, problem: FitProblem) -> None:
+        self.problem = problem
+
+    def residuals(self, theta: np.ndarray, _: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+        """Residuals of both tables [B, 1, K] with derivatives of the model [B, 1, K, size]; True for every θ [B]."""
+        o, u = self.problem.observed, self.problem.parametrisation
+        measured, length = (o.frequency.value[0], o.decay.value[0]), float(self.problem.initial_values.geometry.length)
+        tables = []
+        points = [string_residuals(t[:STRING_SIZE], measured, o.string_number, o.law, length) for t in theta]
+        for table in range(len(measured)):
+            jacobian = np.zeros((len(theta), 1, len(o.string_number), u.size))
+            jacobian[..., :STRING_SIZE] = [slopes[table] for _, slopes in points]
+            tables.append((np.array([residuals[table] for residuals, _ in points]), jacobian * u.free))
+        return tables, np.ones(len(theta), bool)
+
+
+def string_law(string, number, length, xp=np):
+    """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
+
+    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of
+    the decay. `xp` is the module NumPy or jax.numpy.
+    """
+    c, kappa, b1, b2 = xp.exp(string)
+    s = (number * xp.pi / length) ** 2
+    omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
+    frequency = xp.sqrt(omega2 - xp.minimum(alpha, 0.9 * xp.sqrt(omega2)) ** 2) / (2 * xp.pi)
+    zero = xp.zeros_like(s)
+    pitch = xp.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
+    loss = xp.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
+    return xp.stack([frequency, alpha]), xp.stack([pitch, loss])
+
+
+def string_residuals(string, measured, number, law, length, xp=np):
+    """Residuals [1, K] of frequencies, cents, and of log decays, and the derivatives of their models [1, K, 4].
+
+    Parameters
+    ----------
+    string : logarithms of c, κ, b1 and b2.
+    measured : values of the tables, over `law` [K] each.
+    number, law : partials k [K] and the reference's string model [2, K]; `length` of the string, m.
+    """
+    value, slope = string_law(string, number, length, xp)
+    models = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
+    slopes = CENTS * slope[0], slope[1] / value[1][:, None]
+    return [(y - model)[None] for y, model in zip(measured, models, strict=True)], [s[None] for s in slopes]

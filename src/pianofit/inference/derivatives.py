@@ -1,9 +1,21 @@
-"""Derivatives of F in closed form, and the parts of F, at points of a search.
+"""Derivatives of F in closed form: for the steps of a search, and for Laplace's approximation.
 
 Let s = C⁻¹r at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
 one entry it changes by ½ (C⁻¹_ii - s_i²). By the covariance of a path it changes by ½ (N - Σ UᵀU - s sᵀ), summed over
 its recordings. A censored partial adds -log Φ(z), z = (bound - m)/√V. All three changes also move its mean m and its
 variance V.
+
+By the log-weights x the Hessian has a closed form in P = C⁻¹: a weight changes one entry of C's diagonal,
+∂C/∂x_i = -v_i, v = var/w. At one node
+
+    ∂F/∂x_i = ½ v_i (s_i² - P_ii)      ∂²F/∂x_i∂x_j = v_i v_j (s_i P_ij s_j - ½ P_ij²) - δ_ij ∂F/∂x_i
+                                       ∂²F/∂θ∂x_i = -(JᵀP)_i v_i s_i
+
+and of a censored partial, with m = tᵀr,
+
+    ∂m/∂x_i = v_i t_i s_i              ∂V/∂x_i = -v_i t_i²              ∂t_j/∂x_i = v_i P_ji t_i.
+
+Nodes are summed as in F. The few second derivatives by φ are differences of the exact gradient.
 """
 
 from __future__ import annotations
@@ -17,7 +29,6 @@ from .likelihood import (
     CovarianceFactors,
     NodeSolutions,
     ObservationTable,
-    Predicted,
     before_columns,
     combine_nodes,
     interference_db,
@@ -28,15 +39,12 @@ from .likelihood import (
     variance,
 )
 
-__all__ = [
-    "LatentPosterior",
-    "DenseTerms",
-    "Evaluation",
-    "latent_posterior",
-    "dense_terms",
-    "evaluate",
-    "evaluate_batch",
-]
+# Step of the differences of F's exact gradient by φ.
+STEP = 1e-4
+# Curvatures by φ and log w below this fraction of the largest are rounding.
+FLOOR = 1e-8
+# A negative eigenvalue of the curvature above this is not rounding, relative to the curvature with φ and w fixed.
+NEGATIVE = 1e-3
 
 
 class Evaluation(NamedTuple):
@@ -47,18 +55,6 @@ class Evaluation(NamedTuple):
     curvature: np.ndarray  # Gauss-Newton, by θ [n, n]
     by_phi: np.ndarray  # gradient [4]
     by_log_w: np.ndarray  # gradient [R, K]
-
-
-def _censored_sensitivities(table: ObservationTable, p: CovarianceFactors, censored: Predicted) -> np.ndarray:
-    """Derivatives of the censored entries' means by the residual [T, M, N, R, K]."""
-    path = p.relative_precision * (table.group @ censored.cross_gain.swapaxes(1, 2))
-    columns = censored.loading.swapaxes(2, 3) @ p.U.reshape(*p.U.shape[:3], -1)
-    return path[:, None] + columns.reshape(*columns.shape[:3], *p.precision.shape)
-
-
-def inverse_mills_ratio(z: np.ndarray) -> np.ndarray:
-    """Minus the derivative of -log Φ(z): φ(z)/Φ(z)."""
-    return np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
 
 
 def evaluate_batch(
@@ -81,39 +77,59 @@ def evaluate(
     ----------
     residual, jacobian, phi, w : [R, K], derivatives of the model [R, K, n], [4], [R, K].
     """
-    s = solve_nodes(table, residual, phi, w)
-    weight, p, z = node_weights(table, s.nll_per_node), s.factors, s.standardised
-    sensitivity, mills = _censored_sensitivities(table, p, s.censored), inverse_mills_ratio(z)
-    by_mean, by_var = mills / s.conditional_sd, 0.5 * mills * z / s.conditional_sd**2
-    mean, sd = table.prior
-    by_theta = _by_theta(table, s, weight, sensitivity, mills, jacobian)
-    by_variance, censored = _by_variance(table, s, weight, sensitivity, by_mean, by_var)
-    by_path = _by_path(table, s, weight, sensitivity, by_mean, by_var)
-    matern, by_length = p.matern
+    point = _Point.at(table, residual, phi, w)
+    by_variance, censored = _by_variance(point)
+    by_path, (matern, by_length) = _by_path(point), point.nodes.factors.matern
     excess, others = 2 * np.exp(2 * phi[0]) * table.variance_profile, 2 * interference_db(table, phi) ** 2
     by_noise = by_variance / w + censored
-    by_phi = [
-        (by_noise * excess).sum(), 2 * (by_path * matern).sum(), (by_path * by_length).sum(), (by_noise * others).sum(),
-    ]  # fmt: skip
+    by_path = 2 * (by_path * matern).sum(), (by_path * by_length).sum()
+    by_phi = np.array([(by_noise * excess).sum(), *by_path, (by_noise * others).sum()])
+    mean, sd = table.prior
+    by_log_w = 0.5 * table.degrees_of_freedom * (w - 1) - variance(table, phi, w) * by_variance
     return Evaluation(
-        combine_nodes(table, s.nll_per_node, phi, w), *by_theta, np.array(by_phi) + (phi - mean) / sd**2,
-        table.detected * (0.5 * table.degrees_of_freedom * (w - 1) - variance(table, phi, w) * by_variance),
-    )  # fmt: skip
+        combine_nodes(table, point.nodes.nll_per_node, phi, w),
+        *_by_theta(point, jacobian),
+        by_phi + (phi - mean) / sd**2,
+        table.detected * by_log_w,
+    )
 
 
-def _by_theta(
-    table: ObservationTable,
-    s: NodeSolutions,
-    weight: np.ndarray,
-    sensitivity: np.ndarray,
-    mills: np.ndarray,
-    jacobian: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+class _Point(NamedTuple):
+    """F at every node of τ and of the gains, and how it depends on the censored entries."""
+
+    table: ObservationTable
+    nodes: NodeSolutions
+    weight: np.ndarray  # of the nodes [T, M]
+    sensitivity: np.ndarray  # derivatives of the censored entries' means by the residual [T, M, N, R, K]
+    mills: np.ndarray  # minus the slope of -log Φ at the standardised bounds: φ(z)/Φ(z) [T, M, N]
+
+    @classmethod
+    def at(cls, table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> _Point:
+        nodes = solve_nodes(table, residual, phi, w)
+        p, censored, z = nodes.factors, nodes.censored, nodes.standardised
+        path = p.relative_precision * (table.group @ censored.cross_gain.swapaxes(1, 2))
+        columns = censored.loading.swapaxes(2, 3) @ p.U.reshape(*p.U.shape[:3], -1)
+        sensitivity = path[:, None] + columns.reshape(*columns.shape[:3], *residual.shape)
+        mills = np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
+        return cls(table, nodes, node_weights(table, nodes.nll_per_node), sensitivity, mills)
+
+    @property
+    def by_mean(self) -> np.ndarray:
+        """F's derivatives by the censored entries' means [T, M, N]."""
+        return self.mills / self.nodes.conditional_sd
+
+    @property
+    def by_variance(self) -> np.ndarray:
+        """F's derivatives by the censored entries' variances [T, M, N]."""
+        return 0.5 * self.mills * self.nodes.standardised / self.nodes.conditional_sd**2
+
+
+def _by_theta(point: _Point, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient [n] and curvature [n, n]; θ moves the mean of a censored partial but not its bound."""
+    table, s, weight, sensitivity, mills = point
     p, size = s.factors, jacobian.shape[-1]
-    J = np.moveaxis(jacobian, -1, 0)
     flat = jacobian.reshape(-1, size)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, J)
+    before = before_columns(table, p, np.moveaxis(jacobian, -1, 0))
     through = p.U.reshape(*p.U.shape[:3], -1) @ flat
     moved = sensitivity.reshape(*sensitivity.shape[:3], len(flat)) @ flat
     moved -= jacobian[table.censored[:, 0], table.censored[:, 1]]
@@ -121,22 +137,14 @@ def _by_theta(
     gradient = -np.tensordot(weight, s.precision_residual, 2).reshape(-1) @ flat
     gradient -= np.tensordot(weight[..., None] * mills, moved, 3)
     bend = weight[..., None] * np.maximum(mills * (mills + s.standardised), 0.0)
-    return gradient, (
-        np.tensordot(weight.sum(axis=1), before, 1).reshape(size, -1) @ flat
-        - np.tensordot(weight[..., None, None] * through, through, ((0, 1, 2), (0, 1, 2)))
-        + np.tensordot(bend[..., None] * moved, moved, ((0, 1, 2), (0, 1, 2)))
-    )  # fmt: skip
+    curvature = np.tensordot(weight.sum(axis=1), before, 1).reshape(size, -1) @ flat
+    curvature = curvature - np.tensordot(weight[..., None, None] * through, through, ((0, 1, 2), (0, 1, 2)))
+    return gradient, curvature + np.tensordot(bend[..., None] * moved, moved, ((0, 1, 2), (0, 1, 2)))
 
 
-def _by_variance(
-    table: ObservationTable,
-    s: NodeSolutions,
-    weight: np.ndarray,
-    sensitivity: np.ndarray,
-    by_mean: np.ndarray,
-    by_var: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_variance(point: _Point) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives by the variance of each detected entry and of each censored entry [R, K]."""
+    table, s, weight, sensitivity, _ = point
     p = s.factors
     own = p.precision * (1 - p.relative_precision)
     path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
@@ -145,24 +153,17 @@ def _by_variance(
     censored = np.zeros(detected.shape)
     if sensitivity.shape[2]:
         flat = sensitivity.reshape(*sensitivity.shape[:3], -1)
-        through_mean = (by_mean[:, :, None] @ flat).reshape(s.precision_residual.shape)
+        through_mean = (point.by_mean[:, :, None] @ flat).reshape(s.precision_residual.shape)
         detected -= np.tensordot(weight, through_mean * s.precision_residual, 2)
-        detected += np.tensordot(weight[..., None] * by_var, sensitivity**2, 3)
-        np.add.at(censored, tuple(table.censored.T), np.tensordot(weight, by_var, 2))
+        detected += np.tensordot(weight[..., None] * point.by_variance, sensitivity**2, 3)
+        np.add.at(censored, tuple(table.censored.T), np.tensordot(weight, point.by_variance, 2))
     return detected, censored
 
 
-def _by_path(
-    table: ObservationTable,
-    s: NodeSolutions,
-    weight: np.ndarray,
-    sensitivity: np.ndarray,
-    by_mean: np.ndarray,
-    by_var: np.ndarray,
-) -> np.ndarray:
+def _by_path(point: _Point) -> np.ndarray:
     """Derivative by the covariance of the unknown paths, summed over paths [K, K]."""
-    p, K = s.factors, len(table.distance_octaves)
-    unknown = table.has_unknown_path
+    table, s, weight, sensitivity, _ = point
+    p, K, unknown = s.factors, len(table.distance_octaves), table.has_unknown_path
 
     def square(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Σ of outer products of rows [..., G, K] over the unknown paths."""
@@ -177,9 +178,9 @@ def _by_path(
         remaining = -(table.group.T @ sensitivity)
         n = np.arange(sensitivity.shape[2])
         remaining[:, :, n, :, table.censored[:, 1]] += table.group[table.censored[:, 0]][:, None, None]
-        through_mean = (by_mean[:, :, None] @ remaining.reshape(*remaining.shape[:3], -1)).reshape(by_group.shape)
+        through_mean = (point.by_mean[:, :, None] @ remaining.reshape(*remaining.shape[:3], -1)).reshape(by_group.shape)
         out += square(weight[..., None, None] * through_mean, by_group)
-        out += square((weight[..., None] * by_var)[..., None, None] * remaining, remaining)
+        out += square((weight[..., None] * point.by_variance)[..., None, None] * remaining, remaining)
     return out
 
 
@@ -197,44 +198,103 @@ def latent_posterior(table: ObservationTable, residual: np.ndarray, phi: np.ndar
     s = solve_nodes(table, residual, phi, w)
     weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
-    mean = path_mean(table, p.relative_precision, residual - columns)
+    mean = path_mean(table, p, residual - columns)
     common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
     own = residual - table.group @ common - columns
     entries = np.argwhere(np.ones(residual.shape))
-    posterior_variance = predicted(table, p, path_mean(table, p.relative_precision, residual), s.q, entries).variance
+    posterior_variance = predicted(table, p, path_mean(table, p, residual), s.q, entries).variance
     posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
     return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, posterior_variance)))
 
 
-class DenseTerms(NamedTuple):
-    """F and its dense factors at every node of τ and of the gains; see `likelihood.NodeSolutions`."""
-
-    nll_per_node: np.ndarray  # F [T, M]
-    inverse: np.ndarray  # C⁻¹ of all entries, 0 where no partial was detected [T, M, RK, RK]
-    weight: np.ndarray  # of the nodes at this residual [T, M]
-    variance: np.ndarray  # var/w [R, K]
-    precision_residual: np.ndarray  # C⁻¹r [T, M, R, K]
-    sensitivity: np.ndarray  # derivatives of the censored entries' means by the residual [T, M, N, R, K]
-    standardised: np.ndarray  # bound minus mean of the censored entries, in standard deviations [T, M, N]
-    conditional_sd: np.ndarray  # these standard deviations, dB [T, M, N]
-    mills: np.ndarray  # minus the slope of -log Φ at the standardised bounds [T, M, N]
-
-
-def dense_terms(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> DenseTerms:
-    """F at one point with its dense factors."""
-    s = solve_nodes(table, residual, phi, w)
-    p, count = s.factors, residual.size
-    unit = np.eye(count).reshape(count, *residual.shape)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, unit).reshape(-1, 1, count, count)
+def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
+    """C⁻¹ of all entries at every node, 0 where no partial was detected [T, M, RK, RK]."""
+    shape, count = p.precision.shape, p.precision.size
+    unit = np.eye(count).reshape(count, *shape)
+    before = before_columns(table, p, unit).reshape(-1, 1, count, count)
     u = p.U.reshape(*p.U.shape[:3], count)
-    return DenseTerms(
-        s.nll_per_node,
-        before - u.swapaxes(2, 3) @ u,
-        node_weights(table, s.nll_per_node),
-        variance(table, phi, w),
-        s.precision_residual,
-        _censored_sensitivities(table, p, s.censored),
-        s.standardised,
-        s.conditional_sd,
-        inverse_mills_ratio(s.standardised),
-    )
+    return before - u.swapaxes(2, 3) @ u
+
+
+def marginalise_nuisances(
+    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, hyper: int
+) -> tuple[np.ndarray, float]:
+    """Curvature by θ with the first `hyper` of φ and all log-weights integrated out [size, size], and their log volume.
+
+    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton.
+    """
+    detected = np.asarray(table.detected) > 0
+    cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
+    r, J, ws = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w))
+    found = evaluate_batch(table, r, J, phi + STEP * np.eye(hyper + 1, len(phi), -1), ws)
+    curvature = found.curvature[0]
+    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / STEP
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / STEP
+    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / STEP, cross])
+    nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
+    value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
+    value = np.maximum(value, FLOOR * value.max())
+    projected = vector.T @ cross
+    marginal = curvature - (projected / value[:, None]).T @ projected
+    # In units in which each parameter's own curvature is 1: with clean recordings they differ by decades.
+    unit = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    ratio, along = np.linalg.eigh(marginal / np.outer(unit, unit))
+    # Without a positive curvature the quadratic approximation fails: φ and w are treated as known.
+    if ratio[0] < -NEGATIVE:
+        return curvature, float(np.log(value).sum())
+    root = unit[:, None] * along * np.sqrt(np.maximum(ratio, 0.0))
+    return root @ root.T, float(np.log(value).sum())
+
+
+def _by_weights(
+    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """F's second derivatives by log w of the n detected entries: with θ [n, size], and with log w [n, n]."""
+    at = np.flatnonzero(np.asarray(table.detected))
+    J, bound = jacobian.reshape(-1, jacobian.shape[-1])[at], jacobian[tuple(table.censored.T)]
+    point = _Point.at(table, residual, phi, w)
+    inverse, v = dense_inverse(table, point.nodes.factors), variance(table, phi, w).ravel()[at]
+    cross, hessian = np.zeros((len(at), J.shape[1])), np.diag(0.5 * float(table.degrees_of_freedom) * w.ravel()[at])
+    slopes = []
+    for node, weight in np.ndenumerate(point.weight):
+        P = inverse[node][np.ix_(at, at)]
+        *first, node_cross, node_hessian = _at_node(point, node, at, P, v, J, bound)
+        slopes.append((weight, *first))
+        cross += weight * node_cross
+        hessian += weight * node_hessian
+    # F = -log Σ weight exp(-F at a node): nodes with different slopes take weight from one another.
+    weight, by_theta, by_x = (np.array(x) for x in zip(*slopes, strict=True))
+    deviation = by_x - weight @ by_x
+    weighted = (weight[:, None] * deviation).T
+    return cross - weighted @ (by_theta - weight @ by_theta), hessian - weighted @ deviation
+
+
+def _at_node(
+    point: _Point, node: tuple[int, ...], at: np.ndarray, P: np.ndarray, v: np.ndarray, J: np.ndarray, bound: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """F's derivatives by θ [size] and log w [n], and the second ones by both [n, size] and by log w [n, n]."""
+    s = point.nodes.precision_residual[node].ravel()[at]
+    PJ, vs = P @ J, v * s
+    gradient, slope = -s @ J, 0.5 * v * (s**2 - np.diag(P))
+    cross = -vs[:, None] * PJ
+    hessian = np.outer(vs, vs) * P - 0.5 * np.outer(v, v) * P**2 - np.diag(slope)
+    if not len(bound):
+        return gradient, slope, cross, hessian
+
+    z, sd, mills = point.nodes.standardised[node], point.nodes.conditional_sd[node], point.mills[node]
+    t = point.sensitivity[node].reshape(len(z), -1)[:, at] / sd[:, None]  # over the standard deviation
+    m, V = v * t * s, -v * t**2  # derivatives of mean and variance, over sd and variance [N, n]
+    z_theta, z_x = t @ J - bound / sd[:, None], -m - 0.5 * z[:, None] * V
+    bend = mills * (mills + z)
+    hz = 0.5 * mills * z
+    sum_t, square = mills @ t, (hz[:, None] * t).T @ t
+    vv = np.outer(v, v) * P
+    second = vv * (np.outer(s, sum_t) + np.outer(sum_t, s) - 2 * square)
+    second += np.diag(-vs * sum_t + v * np.diag(square))
+    mixed = (mills[:, None] * m).T @ V
+    second -= 0.5 * (mixed + mixed.T) + 1.5 * (hz[:, None] * V).T @ V
+    second += (bend[:, None] * z_x).T @ z_x
+    both = -v[:, None] * sum_t[:, None] * PJ
+    both += (mills[:, None] * 0.5 * V).T @ z_theta
+    both += (bend[:, None] * z_x).T @ z_theta
+    return gradient - mills @ z_theta, slope - mills @ z_x, cross + both, hessian + second

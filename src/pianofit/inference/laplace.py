@@ -12,28 +12,71 @@ of the exponential by which the density falls inward.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erfcx
 from scipy.stats import norm
 
 from ..conversions import HALF_WIDTH_95
-from .marginal_curvature import marginalise_nuisances
-from .problem import FitProblem
-from .refine import Minima
-
-__all__ = ["HYPER", "Posterior", "laplace"]
+from .derivatives import marginalise_nuisances
+from .objective import Candidates, Objective
 
 # Probability on each side of a 95 % interval.
 TAIL = 0.025
+# Logarithm of the largest number that can be written.
+LARGEST_LOG = 700.0
 # Number of unknown hyperparameters φ of the tables of levels, frequencies and decays.
 HYPER = (4, 1, 1)
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
 FLAT = 1e-8
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval of a value."""
+
+    low: float
+    high: float
+    method: str  # laplace, profile or posterior
+    unbounded: tuple[str, ...] = ()  # ends, low or high, that are limits of the search range
+
+
+class ObservedValues(NamedTuple):
+    """Observations of one table [observations each]."""
+
+    value: np.ndarray  # levels and bounds of censored partials, dB; cents and log decays over the string model
+    recording: np.ndarray  # int, its place in the order given, from 1; 0 where a value is of all recordings
+    partial: np.ndarray  # int, k
+
+
+@dataclass(frozen=True)
+class IntervalResult:
+    """Intervals by a profile or by posterior samples."""
+
+    method: str
+    intervals: dict[str, Interval]  # by parameter
+    messages: tuple[str, ...] = ()
+    diagnostics: dict = field(default_factory=dict)
+    draws: dict[str, np.ndarray] | None = None  # values [chains, draws] of all searched parameters, by name
+    # Log density of each observation given all others [chains, draws, observations], by table.
+    log_likelihood: dict[str, np.ndarray] = field(default_factory=dict)
+    observed: dict[str, ObservedValues] = field(default_factory=dict)
+
+
+class Minima(NamedTuple):
+    """Minima of F, the one with the largest posterior weight first; [B, ...]."""
+
+    candidates: Candidates
+    nll: np.ndarray  # of all tables and priors
+    converged: np.ndarray
+
+    def take(self, which: np.ndarray) -> Minima:
+        """Select some, in this order."""
+        return Minima(self.candidates.take(which), self.nll[which], self.converged[which])
 
 
 @dataclass(frozen=True)
@@ -60,6 +103,23 @@ class Posterior:
 
         return end(TAIL), end(1 - TAIL)
 
+    def value_interval(
+        self, change: np.ndarray, value: float, bounds: tuple[float, float] = (-np.inf, np.inf)
+    ) -> Interval | None:
+        """The 95 % interval of a value with the logarithms `change` [size], about the `value` shown.
+
+        Parameters
+        ----------
+        bounds : logarithms that limit the interval.
+        """
+        interval = self.interval(change)
+        if interval is None:
+            return None
+        ends = np.clip(np.add(interval, np.log(value) - float(self.mean[0] @ change)), *bounds)
+        sides = zip(("low", "high"), ends, bounds, strict=True)
+        low, high = np.exp(np.minimum(ends, LARGEST_LOG)).tolist()
+        return Interval(low, high, "laplace", tuple(side for side, end, bound in sides if end == bound))
+
     def sd(self, change: np.ndarray) -> float:
         """The standard deviation of a Gaussian with the same 95 % interval; 0 if all are fixed."""
         low, high = self.interval(change) or (0.0, 0.0)
@@ -75,29 +135,43 @@ class Posterior:
         return Posterior(self.mean, covariance, self.weight)
 
 
-def laplace(problem: FitProblem, minima: Minima) -> Posterior:
-    """The mixture of the minima of F."""
-    u, candidates = problem.parametrisation, minima.candidates
+class Estimate(NamedTuple):
+    """Result of a search of F."""
+
+    minima: Minima
+    posterior: Posterior
+    n_strokes_computed: int  # number of strokes that the model computed
+
+    @property
+    def theta(self) -> np.ndarray:
+        """θ of the minimum with the largest posterior weight, which is reported first [size]."""
+        return self.minima.candidates.theta[0]
+
+
+def laplace(objective: Objective, minima: Minima) -> Posterior:
+    """The mixture of the minima of the complete F."""
+    u, candidates = objective.problem.parametrisation, minima.candidates
     logs, covariances, volumes = [], [], []
-    for i in range(len(candidates)):
-        precision, log_det = _precision(problem, minima, i)
+    gradient = objective.gradient(candidates)
+    for i, theta in enumerate(candidates.theta):
+        precision, log_det = _precision(objective, candidates, i)
         covariance = np.zeros((u.size, u.size))
-        bound = u.at_bound(candidates.theta[i])
-        free = minima.optimiser.is_free & ~bound
-        along = u.bound_jacobian(candidates.theta[i : i + 1], bound[None])[0]
+        bound = u.at_bound(theta)
+        free = objective.free & ~bound
+        along = u.bound_jacobian(theta[None], bound[None])[0]
         projected = along.T @ precision @ along
         inner = projected[np.ix_(free, free)]
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(free, free)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
-        slope = along.T @ minima.optimiser.slope(candidates)[i]
-        for k in np.flatnonzero(minima.optimiser.is_free & bound):
+        slope = along.T @ gradient[i]
+        for k in np.flatnonzero(objective.free & bound):
             across = projected[k, k] - projected[k] @ covariance @ projected[k]
             log_det += _log_curvature(abs(slope[k]), max(across, FLAT * projected[k, k]))
-        tangent = u.tangent(candidates.theta[i]) @ along
+        tangent = u.tangent(theta) @ along
         covariance = tangent @ covariance @ tangent.T
         covariances.append(0.5 * (covariance + covariance.T))  # symmetric to the last bit
         volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))
-        logs.append(u.log_values(candidates.theta[i]))
+        logs.append(u.log_values(theta))
     score = -minima.nll + np.array(volumes)
     weight = np.exp(score - score.max())
     return Posterior(np.array(logs), np.array(covariances), weight / weight.sum())
@@ -111,13 +185,22 @@ def _log_curvature(slope: float, curvature: float) -> float:
     return float(np.log(curvature) - 2 * np.log(0.5 * erfcx(slope / np.sqrt(2 * curvature))))
 
 
-def _precision(problem: FitProblem, minima: Minima, i: int) -> tuple[np.ndarray, float]:
+def _precision(objective: Objective, candidates: Candidates, i: int) -> tuple[np.ndarray, float]:
     """Precision of θ [size, size] with φ and w of all tables integrated out, and the log determinant of their part."""
-    u, candidates = problem.parametrisation, minima.candidates
-    precision = np.diag(np.where(minima.optimiser.is_free, u.precision, 0.0))
-    log_det = 0.0
-    for table, part, hyper in zip(minima.optimiser.tables, candidates.parts, HYPER, strict=True):
-        curvature, volume = marginalise_nuisances(table, jax.tree.map(lambda x: x[i], part), hyper)
-        precision += curvature
-        log_det += volume
+    precision, log_det = objective.prior(candidates.theta)[2], 0.0
+    for term, part, hyper in zip(objective.terms, candidates.parts, HYPER, strict=True):
+        point = part.residual[i], part.jacobian[i], part.phi[i], part.w[i]
+        curvature, volume = marginalise_nuisances(term.table, *point, hyper)
+        precision, log_det = precision + curvature, log_det + volume
     return precision, log_det
+
+
+def unbounded_warnings(intervals: Mapping[str, Interval]) -> list[str]:
+    """Messages that name the intervals with an end at a search bound."""
+    endings = {
+        ("low", "high"): ": the interval is the whole search range",
+        ("low",): " below: the interval ends at the search bound",
+        ("high",): " above: the interval ends at the search bound",
+    }
+    named = {side: [name for name, one in intervals.items() if one.unbounded == side] for side in endings}
+    return [f"The recordings do not bound {', '.join(named[side])}{endings[side]}." for side in endings if named[side]]

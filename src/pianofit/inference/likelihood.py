@@ -41,26 +41,6 @@ from scipy.special import log_ndtr
 
 from ..model.x64 import AnyArray
 
-__all__ = [
-    "INTERFERENCE_DB",
-    "CovarianceFactors",
-    "Predicted",
-    "NodeSolutions",
-    "ObservationTable",
-    "interference_db",
-    "before_columns",
-    "factor_covariance",
-    "em_weights",
-    "objective",
-    "path_mean",
-    "pointwise",
-    "predicted",
-    "node_weights",
-    "solve_nodes",
-    "variance",
-    "combine_nodes",
-]
-
 # Arrays of NumPy or of JAX, and one of the two as a module.
 Values = Any
 Space = Any
@@ -160,28 +140,27 @@ def factor_covariance(table: ObservationTable, phi: Values, w: Values, xp: Space
     whitening = whitening * root[:, None, :]
     path = xp.swapaxes(whitening, -1, -2) @ whitening
     relative = precision / (table.group @ xp.where(detected, total, 1.0))
+    p = CovarianceFactors(precision, relative, matern, prior, path, None, None, half_log_det)
 
-    size, shape = table.scale.shape[1], precision.shape
-    columns = before_columns(table, precision, relative, path, table.columns).reshape(len(prior), 1, size, -1)
+    size = table.scale.shape[1]
+    columns = before_columns(table, p, table.columns).reshape(len(prior), 1, size, -1)
     inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
     whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
     root = whitening * table.scale[:, None, :]
-    U = (root @ columns).reshape(*root.shape[:3], *shape)
-    return CovarianceFactors(
-        precision, relative, matern, prior, path, root, U, half_log_det[:, None] + _half_log_det(whitening, xp)
-    )
+    U = (root @ columns).reshape(*root.shape[:3], *precision.shape)
+    return p._replace(root=root, U=U, half_log_det=half_log_det[:, None] + _half_log_det(whitening, xp))
 
 
-def path_mean(table: ObservationTable, relative: Values, x: Values) -> Values:
-    """x̄ of every path [..., G, K] from x [..., R, K]; `relative` is d/D."""
-    return table.group.T @ (relative * x)
+def path_mean(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
+    """x̄ of every path [..., G, K] from x [..., R, K]."""
+    return table.group.T @ (p.relative_precision * x)
 
 
-def before_columns(table: ObservationTable, precision: Values, relative: Values, path: Values, x: Values) -> Values:
-    """C₀⁻¹x [T, n, R, K] of x [n, R, K]; `relative` is d/D."""
-    mean = path_mean(table, relative, x)
-    weighted = (mean.swapaxes(0, 1) @ path).swapaxes(1, 2)
-    return precision * (x - table.group @ mean) + relative * (table.group @ weighted)
+def before_columns(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
+    """C₀⁻¹x [T, n, R, K] of x [n, R, K]."""
+    mean = path_mean(table, p, x)
+    weighted = (mean.swapaxes(0, 1) @ p.path).swapaxes(1, 2)
+    return p.precision * (x - table.group @ mean) + p.relative_precision * (table.group @ weighted)
 
 
 class Predicted(NamedTuple):
@@ -202,12 +181,10 @@ def predicted(table: ObservationTable, p: CovarianceFactors, mean: Values, q: Va
     explained = (cross_gain * rows).sum(axis=(1, 3))
     remaining = (group * p.prior[:, :, k, k]).sum(axis=1) - explained
     flat = cross_gain.swapaxes(1, 2).reshape(len(cross_gain), len(k), mean.size)
-    columns = flat @ path_mean(table, p.relative_precision, table.columns).reshape(-1, mean.size).T
+    columns = flat @ path_mean(table, p, table.columns).reshape(-1, mean.size).T
     loading = p.root @ (table.columns[:, r, k] - columns.swapaxes(1, 2))[:, None]
-    return Predicted(
-        (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0],
-        remaining[:, None] + (loading**2).sum(axis=2), cross_gain, loading,
-    )  # fmt: skip
+    conditional_mean = (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0]
+    return Predicted(conditional_mean, remaining[:, None] + (loading**2).sum(axis=2), cross_gain, loading)
 
 
 class NodeSolutions(NamedTuple):
@@ -225,11 +202,11 @@ class NodeSolutions(NamedTuple):
 def solve_nodes(table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np) -> NodeSolutions:
     """F at every node, and its parts."""
     p = factor_covariance(table, phi, w, xp)
-    before = before_columns(table, p.precision, p.relative_precision, p.path, residual[None])[:, 0]
+    before = before_columns(table, p, residual[None])[:, 0]
     U = p.U.reshape(*p.U.shape[:3], -1)
     q = U @ residual.reshape(-1)
     precision_residual = before[:, None] - (q[:, :, None] @ U).reshape(*q.shape[:2], *residual.shape)
-    mean = path_mean(table, p.relative_precision, residual)
+    mean = path_mean(table, p, residual)
     square = (p.precision * (residual - table.group @ mean) ** 2).sum()
     square = square + ((mean[:, None] @ p.path)[:, :, 0] * mean).sum(axis=(1, 2))
     at = table.censored

@@ -1,9 +1,9 @@
 """Global search of F: sample the prior, rank the samples by F, and minimise from the best.
 
 Every step lowers or compares one function (likelihood.py). Hammers of the prior are ranked by it with wide
-hyperparameters, each at its best velocities (prescreen.py). The best are minimised (optimiser.py): first on a quadratic
-surrogate that all share, then on F with a falling lower limit of the excess σ, which smooths the landscape. The search
-restarts near the lowest.
+hyperparameters, each at its best velocities. The best are minimised (optimiser.py): first on a quadratic surrogate that
+all share, then on F with a falling lower limit of the excess σ, which smooths the landscape. The search restarts near
+the lowest.
 """
 
 from __future__ import annotations
@@ -12,16 +12,35 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.stats import norm, qmc
 
 from ..errors import FitError
-from .candidates import Candidates
-from .optimiser import Optimiser
-from .parametrisation import Parametrisation
-from .prescreen import initial_hyperparameters, prescreen, rescan_velocities
-from .quadratic_surrogate import QuadraticSurrogate
+from ..progress import Progress
+from .batched_model import thread_pool
+from .likelihood import ObservationTable
+from .objective import Candidates, Objective, QuadraticSurrogate
+from .optimiser import Options, minimise
+from .parametrisation import STRING_SIZE, Parametrisation
+from .problem import FitProblem, brightness
 
-__all__ = ["NO_HAMMER", "deduplicate", "multistart"]
-
+# Samples of the prior's hammers: a power of two, as Sobol points require.
+SAMPLES = 1024
+# Velocities of each sample, m/s: neighbours differ by 30 %, which a minimisation bridges.
+VELOCITIES = np.geomspace(0.15, 8.0, 16)
+# Velocities of one hammer, m/s: 1.6 % apart, closer than the lobes of a treble force's spectrum.
+FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
+# Probability at each end of a prior that is not sampled.
+TAIL = 0.01
+# Initial σ, the excess of levels, dB; A, ℓ and η start at their priors.
+WIDE_EXCESS = 2.0
+# Initial velocities, from the brightest stroke down, m/s: a forte,
+FASTEST = 4.0
+# and the factor from stroke to stroke, for layers far apart and for layers close together.
+FACTORS = (0.5, 0.75)
+# Hammers per core at a time: their data fit its cache.
+BLOCK = 64
+# Cost of a contact that does not end.
+ENDLESS = 1e6
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
@@ -49,15 +68,15 @@ SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 TRIAL = 6
 # before it must be within `NEAR` of the best to continue, and how many of a round do.
 GOING = 2
-NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 # Minima closer than this in every parameter, in the prior's standard deviations, are the same.
 SAME = 0.02
+# θ [points, size] from the best candidate and the surrogate there.
+Points = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
+NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 
 
-def multistart(
-    optimiser: Optimiser, seed: int, first: np.ndarray, progress: Callable[[str, float], None] = lambda *_: None
-) -> Candidates:
-    """Find the minima of F; the lowest is first.
+def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Progress = lambda *_: None) -> Candidates:
+    """Find the minima of F of the levels; the lowest is first.
 
     Parameters
     ----------
@@ -68,113 +87,94 @@ def multistart(
     FitError
         If no hammer gives a finite sound.
     """
-    phi = initial_hyperparameters(optimiser)
+    table = objective.problem.observed.level
+    phi = initial_hyperparameters(table)
     # Before a hammer is known, it is open whether recordings share a gain: each answer has its own hammers.
-    nodes = range(len(optimiser.table.scale))
-    surrogates = [QuadraticSurrogate.of(optimiser.table, phi, gains=node) for node in nodes]
+    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
+    fixed = [objective.with_surrogate(surrogate) for surrogate in surrogates]
 
     def minimised(starts: Sequence[np.ndarray]) -> Candidates:
         """Minimise the candidates [S, size] of every surrogate on that surrogate, and join them."""
-        ends = [
-            optimiser.minimise(
-                optimiser.initialise(theta, [phi], surrogate=surrogate), 0.0, FIRST_STEPS, surrogate=surrogate
-            )
-            for theta, surrogate in zip(starts, surrogates, strict=True)
-        ]
+        ends = [minimise(f, f.start(x, [phi]), Options(FIRST_STEPS)) for f, x in zip(fixed, starts, strict=True)]
         return functools.reduce(Candidates.join, ends)
 
-    samples = prescreen(optimiser, seed, surrogates)
+    samples = rank_hammers(objective, sobol_samples(objective, seed), VELOCITIES, surrogates)
     candidates = minimised([np.concatenate([first[None], theta[:FIRST]]) for theta in samples])
     if not len(candidates):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    rescanned = rescan_velocities(optimiser, _survivors(optimiser, candidates).theta, surrogates)
-    candidates = candidates.join(minimised(rescanned))
+    survivors = _survivors(objective, candidates).theta
+    candidates = candidates.join(minimised(rank_hammers(objective, survivors, FINE_VELOCITIES, surrogates)))
     progress("hammer", 0.4)
-    candidates = optimiser.minimise(
-        _with_discretisation_error(optimiser, _survivors(optimiser, candidates)), SECOND_FLOOR, SECOND_STEPS
-    )
+    above_floor = Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
+    candidates = _continued(objective, _survivors(objective, candidates), above_floor)
     progress("hammer", 0.5)
-    candidates = optimiser.minimise(
-        _with_discretisation_error(optimiser, _survivors(optimiser, candidates, NEAR)), 0.0, LAST_STEPS
-    )
+    candidates = _continued(objective, _survivors(objective, candidates, NEAR), Options(LAST_STEPS))
     progress("restarts", 0.6)
-    random = np.random.default_rng(seed)
+    kinds = _kinds_of_restart(objective, np.random.default_rng(seed))
     for _ in range(ROUNDS):
-        before = _lowest(optimiser, candidates)
-        candidates = _restarted(optimiser, candidates, lambda best, _: _perturb(optimiser, best, random))
-        for node in nodes:
-            candidates = _restarted(
-                optimiser, candidates,
-                lambda best, by: rescan_velocities(optimiser, best.theta, [by], best.offset[0])[0], node,
-            )  # fmt: skip
-        if optimiser.unknowns.free[optimiser.unknowns.index_of("x0")]:
-            candidates = _restarted(
-                optimiser, candidates, lambda best, _: _shift_strike_position(optimiser, best.theta[0])
-            )
-        if _lowest(optimiser, candidates) > before - GAIN:
+        before = objective.total(candidates)[0]
+        for points, gains in kinds:
+            candidates = _restarted(objective, candidates, points, gains)
+        if objective.total(candidates)[0] > before - GAIN:
             break
     return candidates
 
 
-def _survivors(optimiser: Optimiser, candidates: Candidates, within: float = np.inf) -> Candidates:
+def _survivors(objective: Objective, candidates: Candidates, within: float = np.inf) -> Candidates:
     """The lowest candidates after merging."""
-    distinct = deduplicate(candidates, optimiser.unknowns, optimiser.total(candidates), within, MERGE_DISTANCE)
+    scores = objective.total(candidates)
+    distinct = deduplicate(candidates, objective.problem.parametrisation, scores, within, MERGE_DISTANCE)
     return candidates.take(np.array(distinct[:SECOND], int))
 
 
-def _with_discretisation_error(optimiser: Optimiser, candidates: Candidates) -> Candidates:
-    """Correct the levels of all candidates by the discretisation error of the lowest candidate."""
-    error = optimiser.discretisation_error_db(candidates.theta[:1])
-    return optimiser.initialise(candidates.theta, candidates.phi, candidates.w, error)
+def _continued(objective: Objective, candidates: Candidates, options: Options) -> Candidates:
+    """Minimise F, with the levels of all candidates corrected by the discretisation error of the lowest candidate."""
+    error = objective.level_model.discretisation_error_db(candidates.theta[:1])
+    return minimise(objective, objective.start(candidates.theta, candidates.phi, candidates.w, error), options)
 
 
-def _lowest(optimiser: Optimiser, candidates: Candidates) -> float:
-    """F of the first candidate."""
-    return float(optimiser.total(candidates)[0])
+def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
+    """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
+    u, free = objective.problem.parametrisation, objective.free
+    x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
+
+    def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
+        """Random points in all parameters, widest along the ridge."""
+        curvature = sum(part.derivatives.curvature[0] for part in best.parts)
+        precision = objective.prior(best.theta)[2] / REACH**2 + curvature / ALONG**2
+        value, vector = np.linalg.eigh(precision[np.ix_(free, free)])
+        theta = np.tile(best.theta, (RESTARTS, 1))
+        theta[:, free] += random.normal(size=(RESTARTS, free.sum())) / np.sqrt(value) @ vector.T
+        return u.project(theta)
+
+    def rescanned(best: Candidates, surrogate: QuadraticSurrogate) -> np.ndarray:
+        return rank_hammers(objective, best.theta, FINE_VELOCITIES, [surrogate], best.offset[0])[0]
+
+    def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
+        """Other strike positions."""
+        theta = np.tile(best.theta, (2 * len(SCAN), 1))
+        theta[:, x0] += np.outer([1, -1], SCAN).ravel()
+        return u.project(theta)
+
+    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(u.free[x0])]
 
 
-def _perturb(optimiser: Optimiser, best: Candidates, random: np.random.Generator) -> np.ndarray:
-    """Random points about the best in all parameters, widest along its ridge [restarts, size]."""
-    u, free = optimiser.unknowns, optimiser.is_free
-    precision = (
-        optimiser.prior(best.theta)[2] / REACH**2 + sum(part.derivatives.curvature[0] for part in best.parts) / ALONG**2
-    )
-    value, vector = np.linalg.eigh(precision[np.ix_(free, free)])
-    theta = np.tile(best.theta, (RESTARTS, 1))
-    theta[:, free] += random.normal(size=(RESTARTS, free.sum())) / np.sqrt(value) @ vector.T
-    return u.project(theta)
-
-
-def _shift_strike_position(optimiser: Optimiser, best: np.ndarray) -> np.ndarray:
-    """The best [size] with shifted strike positions [2 · len(SCAN), size]."""
-    theta = np.tile(best, (2 * len(SCAN), 1))
-    theta[:, optimiser.unknowns.index_of("x0")] += np.outer([1, -1], SCAN).ravel()
-    return optimiser.unknowns.project(theta)
-
-
-def _restarted(
-    optimiser: Optimiser, candidates: Candidates, points: Callable[[Candidates, QuadraticSurrogate], np.ndarray],
-    gains: int | None = None,
-) -> Candidates:  # fmt: skip
-    """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w.
-
-    Parameters
-    ----------
-    gains : the node of the gains of the surrogate; all nodes by default.
-    """
+def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
+    """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
-    state = best.level
-    surrogate = QuadraticSurrogate.of(optimiser.table, state.phi[0], state.w[0], state.residual[0], gains)
-    trials = optimiser.initialise(points(best, surrogate), best.phi, best.w, best.offset, surrogate)
+    surrogate = QuadraticSurrogate.of(
+        objective.problem.observed.level, best.level.phi[0], best.level.w[0], best.level.residual[0], gains
+    )
+    fixed = objective.with_surrogate(surrogate)
+    trials = fixed.start(points(best, surrogate), best.phi, best.w, best.offset)
     if not len(trials):
         return candidates
-    trials = optimiser.minimise(trials, 0.0, TRIAL, surrogate=surrogate)
-    lowest = optimiser.prior(best.theta)[0] + surrogate(state.residual, state.jacobian).nll
-    near = np.flatnonzero(optimiser.total(trials) < lowest + NEAR)[:GOING]
+    trials = minimise(fixed, trials, Options(TRIAL))
+    near = np.flatnonzero(fixed.total(trials) < fixed.total(fixed.enter(best, 0.0)) + NEAR)[:GOING]
     if len(near):
-        candidates = candidates.join(optimiser.minimise(trials.take(near), 0.0, LAST_STEPS))
-    return candidates.take(np.argsort(optimiser.total(candidates), kind="stable"))
+        candidates = candidates.join(minimise(objective, trials.take(near), Options(LAST_STEPS)))
+    return candidates.take(np.argsort(objective.total(candidates), kind="stable"))
 
 
 def deduplicate(
@@ -190,3 +190,132 @@ def deduplicate(
         if not distances or min(distances) >= apart:
             chosen.append(int(i))
     return chosen
+
+
+# --- prescreening: many hammers, each at its best velocities ----------------------------------------------------------
+
+
+def sobol_samples(objective: Objective, seed: int) -> np.ndarray:
+    """Sobol samples of the prior's hammers [samples, size]; velocities at their means."""
+    u = objective.problem.parametrisation
+    free = STRING_SIZE + np.flatnonzero(u.free[STRING_SIZE : u.shared])
+    theta = np.tile(u.mean, (SAMPLES, 1))
+    theta[:, :STRING_SIZE] = objective.level_model.string
+    if len(free):
+        points = qmc.Sobol(len(free), rng=np.random.default_rng(seed)).random(SAMPLES)
+        theta[:, free] += u.sd[free] * norm.ppf(TAIL + (1 - 2 * TAIL) * points)
+    return u.project(theta)
+
+
+def initial_hyperparameters(table: ObservationTable) -> np.ndarray:
+    """φ before any residual is known."""
+    mean = np.asarray(table.prior[0]).copy()
+    mean[0] = np.log(WIDE_EXCESS)
+    return mean
+
+
+def rank_hammers(
+    objective: Objective,
+    theta: np.ndarray,
+    velocities: np.ndarray,
+    surrogates: Sequence[QuadraticSurrogate],
+    offset: np.ndarray | float = 0.0,
+) -> list[np.ndarray]:
+    """Rank hammers `theta` [S, size], each at its best velocities by a surrogate and the prior; the best first.
+
+    Returns one array per surrogate. In the treble a contact lasts for several periods of a partial, and the spectrum of
+    its force has lobes. A velocity in the wrong lobe is a minimum for every hammer near.
+
+    Parameters
+    ----------
+    velocities : m/s, tried for every stroke.
+    offset : discretisation error of the levels, dB [R, K].
+    """
+    u, table = objective.problem.parametrisation, objective.problem.observed.level
+    lower, upper, mean, sd, free = (x[u.shared :] for x in (u.lower, u.upper, u.mean, u.sd, u.free))
+    # The bounds are the same for all velocities; measured velocities have columns of their own.
+    within = np.clip(np.log(velocities), lower[free].max(), upper[free].min()) if free.any() else ()
+    grid = np.append(np.unique(within), mean[~free])
+    prior = 0.5 * ((grid - mean[:, None]) / np.where(free, sd, 1.0)[:, None]) ** 2
+    prior = np.where(free[:, None], prior, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
+    # In the order of velocities, the strokes of one call have contacts of similar duration.
+    hammers = np.tile(theta[:, STRING_SIZE : u.shared], (len(grid), 1))
+    level, ended = objective.level_model.levels(np.column_stack([hammers, np.repeat(grid, len(theta))]))
+    level = level.reshape(len(grid), len(theta), -1).swapaxes(0, 1)
+    costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, ENDLESS)[:, None] + prior
+    own = np.abs(grid - theta[:, u.shared :, None]).argmin(axis=2)
+    starts = [own, *(np.tile(start, (len(theta), 1)) for start in _velocity_starts(objective.problem, grid))]
+    target = table.value - offset
+
+    def ranked(surrogate: QuadraticSurrogate) -> np.ndarray:
+        def best_of(block: slice) -> tuple[np.ndarray, np.ndarray]:
+            residual = (target - level[block][:, :, None]) * table.detected
+            own = [start[block] for start in starts]
+            return _best_velocities(surrogate, residual, objective.level_model.stroke, costs[block], own)
+
+        blocks = [slice(i, i + BLOCK) for i in range(0, len(theta), BLOCK)]
+        best, chosen = (np.concatenate(x) for x in zip(*thread_pool().map(best_of, blocks), strict=True))
+        best = best + objective.prior(theta)[0]
+        moved = theta.copy()
+        moved[:, u.shared :] = np.where(free, grid[chosen], mean)
+        order = np.argsort(best, kind="stable")
+        return moved[order[np.isfinite(best[order])]]
+
+    return [ranked(surrogate) for surrogate in surrogates]
+
+
+def _best_velocities(
+    surrogate: QuadraticSurrogate, residual: np.ndarray, stroke: np.ndarray, costs: np.ndarray, starts: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest surrogate of each hammer [S], and its velocities [S, strokes], by coordinate descent.
+
+    Parameters
+    ----------
+    residual : of every recording at every velocity, dB [S, V, R, K].
+    stroke : stroke of every recording [R].
+    costs : additional cost of each velocity of each stroke [S, strokes, V].
+    starts : initial velocities [S, strokes].
+    """
+    count, V, _, K = residual.shape
+    Q, strokes = surrogate.dense(), range(costs.shape[1])
+    recordings = [np.flatnonzero(stroke == s) for s in strokes]
+    T = [residual[:, :, r].reshape(count, V, -1) for r in recordings]
+    # The surrogate is a sum over strokes and over pairs of strokes: tables of it [S, V] and [S, V, V].
+    own, pair = costs.copy(), {}
+    for s, first in enumerate(recordings):
+        for t, second in enumerate(recordings[: s + 1]):
+            size = len(first) * K, len(second) * K
+            weighted = T[s].reshape(-1, size[0]) @ Q[np.ix_(first, np.arange(K), second)].reshape(size)
+            weighted = weighted.reshape(count, V, -1)
+            if s == t:
+                own[:, s] += 0.5 * (weighted * T[s]).sum(axis=2)
+            else:
+                pair[s, t] = weighted @ T[t].swapaxes(1, 2)
+                pair[t, s] = pair[s, t].swapaxes(1, 2)
+    S = np.arange(count)
+    best, chosen = np.full(count, np.inf), np.zeros((count, len(strokes)), int)
+    for start in starts:
+        v = start.copy()
+        for _ in range(8):  # few need more than three
+            before = v.copy()
+            for s in strokes:
+                v[:, s] = (own[:, s] + sum(pair[t, s][S, v[:, t]] for t in strokes if t != s)).argmin(axis=1)
+            if (v == before).all():
+                break
+        cost = own[S[:, None], np.arange(len(strokes)), v].sum(axis=1)
+        cost += sum(pair[s, t][S, v[:, s], v[:, t]] for s in strokes for t in range(s))
+        better = cost < best
+        best[better], chosen[better] = cost[better], v[better]
+    return best, chosen
+
+
+def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
+    """Initial velocities: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
+    u = problem.parametrisation
+    free, mean, by_stroke = u.free[u.shared :], u.mean[u.shared :], np.zeros(u.strokes)
+    for stroke, analysis in zip(problem.structure.stroke, problem.analyses, strict=True):
+        by_stroke[stroke] = max(by_stroke[stroke], brightness(analysis))
+    rank = np.empty(u.strokes)
+    rank[np.argsort(-by_stroke)] = np.arange(u.strokes)
+    log_velocities = [np.where(free, np.log(FASTEST * factor**rank), mean) for factor in FACTORS]
+    return [np.abs(grid - start[:, None]).argmin(axis=1) for start in log_velocities]

@@ -1,29 +1,41 @@
 """Draws from exp(-F) by the No-U-Turn sampler of blackjax (Hoffman and Gelman 2014, JMLR 15).
 
-The sampler draws θ, and φ and w of all tables (density.py). Chains start about the best minimum. A minimum that no
-chain reaches has no draws. The discretisation error of the contact is that of the best minimum.
+Chains start about the best minimum. A minimum that no chain reaches has no draws. The discretisation error of the
+contact is that of the best minimum.
+
+exp(-F) is a proper density (likelihood.py) of all unknowns: θ, and φ and log w of levels, frequencies and decays. θ is
+whitened by Laplace's covariance. log w is scaled by the standard deviation that its curvature gives. The bounds
+reflect: beyond a bound the density is the mirror image of the inside. A sampler therefore meets a continuous density
+without a wall, and the reflected points have exactly the density inside the bounds. The search range of φ of the levels
+reflects too.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from importlib.metadata import version
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
 from ..io.table_output import require_optional
 from ..model.x64 import float64, x64_scope
-from .batched_model import StaticConfig, thread_pool
-from .density import DensityContext, density_context, log_density, log_likelihood, random_start, reflect_into_bounds
-from .intervals import IntervalResult, Observations, parameter_indices, reported_parameters, unbounded_warnings
-from .likelihood import ObservationTable
-from .map_estimate import Estimate
-from .problem import FitProblem
-
-__all__ = ["check_sampler", "sample_posterior"]
+from .batched_model import (
+    LevelModel,
+    level_jacobians_per_string,
+    levels_per_string,
+    string_residuals,
+    thread_pool,
+)
+from .laplace import HYPER, Estimate, Interval, IntervalResult, ObservedValues, unbounded_warnings
+from .likelihood import ObservationTable, objective, pointwise
+from .objective import HYPER_REACH
+from .parametrisation import STRING_SIZE
+from .problem import FitProblem, ModelInputs, StaticConfig
 
 # R-hat compares chains with each other, and four show more than two. Warm-up adapts step and metric. The draws leave
 # some ten independent ones beyond each end of a 95 % interval.
@@ -41,6 +53,8 @@ TAILS = 0.025, 0.975
 # Bins of a histogram of the interval, and the ratio of a normal density at the interval's ends to its maximum. A
 # density that a bound cuts off has more.
 BINS, CUT = 20, float(np.exp(-0.5 * HALF_WIDTH_95**2))
+# Scale of a parameter at a bound: its prior's standard deviation, or this fraction of its range if that is smaller.
+RANGE_FRACTION = 0.25
 
 
 def check_sampler() -> None:
@@ -72,36 +86,39 @@ def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> Inte
 
     parts = list(thread_pool().map(chain, keys))
     theta, acceptance, divergent, steps, *likelihoods = (np.stack(column) for column in zip(*parts, strict=True))
-    logs, names = u.log_values(theta), reported_parameters(problem)
-    entries = {name: _entry(problem, i, logs[..., i]) for name, i in names.items()}
+    logs, names = u.log_values(theta), problem.reported_parameters
+    intervals = {name: _interval(u.range(i), logs[..., i]) for name, i in names.items()}
     convergence = _convergence_diagnostics(names, logs)
     diagnostics = {
-        "sampler": _sampler(), "chains": CHAINS, "draws": DRAWS, "acceptance": float(acceptance.mean()),
-        "divergences": int(divergent.sum()), "evaluations": int(steps.sum()), "parameters": convergence,
-    }  # fmt: skip
-    messages = (*_messages(convergence, int(divergent.sum())), *unbounded_warnings(entries))
-    values = {name: np.exp(logs[..., i]) for name, i in parameter_indices(problem).items() if u.free[i]}
+        "sampler": f"NUTS, blackjax {version('blackjax')}",
+        "chains": CHAINS,
+        "draws": DRAWS,
+        "acceptance": float(acceptance.mean()),
+        "divergences": int(divergent.sum()),
+        "evaluations": int(steps.sum()),
+        "parameters": convergence,
+    }
+    messages = (*_messages(convergence, int(divergent.sum())), *unbounded_warnings(intervals))
+    values = {name: np.exp(logs[..., i]) for name, i in problem.parameter_indices.items() if u.free[i]}
     observed = _observed(at, problem)
-    return IntervalResult(
-        "posterior", entries, messages, {"posterior": diagnostics}, values,
-        dict(zip(observed, likelihoods, strict=True)), observed,
-    )  # fmt: skip
+    likelihood = dict(zip(observed, likelihoods, strict=True))
+    return IntervalResult("posterior", intervals, messages, {"posterior": diagnostics}, values, likelihood, observed)
 
 
-def _observed(at: DensityContext, problem: FitProblem) -> dict[str, Observations]:
+def _observed(at: DensityContext, problem: FitProblem) -> dict[str, ObservedValues]:
     """The observations, in the order of `log_likelihood`."""
-    o = problem.observed
+    level, *strings = [np.asarray(table.value) for table in at.tables]
+    number, string_number = problem.observed.number, problem.observed.string_number
 
-    def of(table: ObservationTable, entries: np.ndarray, number: np.ndarray, has_recordings: int) -> Observations:
-        row, column = np.asarray(entries).reshape(-1, 2).T
-        return Observations(
-            np.asarray(table.value)[row, column], has_recordings * (row + 1), np.asarray(number)[column]
-        )
+    def of_levels(entries: np.ndarray) -> ObservedValues:
+        row, column = entries.T
+        return ObservedValues(level[row, column], row + 1, number[column])
 
-    numbers = (o.number, 1), (o.string_number, 0), (o.string_number, 0)
-    kinds = zip(("level", "frequency", "decay"), at.tables, at.detected, numbers, strict=True)
-    observed = {kind: of(table, entries, *number) for kind, table, entries, number in kinds}
-    return observed | {"absent": of(at.tables[0], at.tables[0].censored, *numbers[0])}
+    found = {"level": of_levels(at.detected[0])}
+    for kind, value, entries in zip(("frequency", "decay"), strings, at.detected[1:], strict=True):
+        row, column = entries.T
+        found[kind] = ObservedValues(value[row, column], 0 * row, string_number[column])
+    return found | {"absent": of_levels(np.asarray(at.tables[0].censored).reshape(-1, 2))}
 
 
 def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
@@ -118,9 +135,12 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
         return log_density(at, point, cfg)
 
     adapt: Any = blackjax.window_adaptation(
-        blackjax.nuts, density, target_acceptance_rate=ACCEPTANCE, max_num_doublings=DOUBLINGS,
+        blackjax.nuts,
+        density,
+        target_acceptance_rate=ACCEPTANCE,
+        max_num_doublings=DOUBLINGS,
         adaptation_info_fn=get_filter_adapt_info_fn(),
-    )  # fmt: skip
+    )
     start_key, warmup_key, draw_key = jax.random.split(key, 3)
     (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, START_SD), num_steps=warmup)
     step: Any = blackjax.nuts(density, **adapted).step
@@ -134,23 +154,15 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
     return jax.lax.scan(draw, state, jax.random.split(draw_key, count))[1]
 
 
-def _sampler() -> str:
-    from importlib.metadata import version
-
-    return f"NUTS, blackjax {version('blackjax')}"
-
-
-def _entry(problem: FitProblem, i: int, log: np.ndarray) -> dict:
+def _interval(bounds: tuple[float, float], log: np.ndarray) -> Interval:
     """The interval of one value; an end is unbounded where a search bound cuts the density off."""
-    bounds = problem.parametrisation.range(i)
     low, high = np.quantile(log, TAILS)
     highest = np.histogram(log, bins=BINS, range=(low, high))[0].max()
     width = (high - low) / BINS
     inward = {"low": log - bounds[0], "high": bounds[1] - log}
     cut = {word: (distance <= width).sum() > CUT * highest for word, distance in inward.items()}
-    ends = bounds[0] if cut["low"] else low, bounds[1] if cut["high"] else high
-    sides = [word for word, unbounded in cut.items() if unbounded]
-    return {"interval": np.exp(ends).tolist(), "interval_by": "posterior", "interval_open": sides}
+    low, high = np.exp((bounds[0] if cut["low"] else low, bounds[1] if cut["high"] else high)).tolist()
+    return Interval(low, high, "posterior", tuple(word for word, unbounded in cut.items() if unbounded))
 
 
 @float64
@@ -160,11 +172,10 @@ def _convergence_diagnostics(names: dict[str, int], logs: np.ndarray) -> dict[st
 
     chains = jnp.asarray(logs[..., list(names.values())])
     rhat, bulk, tail = (np.atleast_1d(f(chains)) for f in (blackjax.rhat, blackjax.ess_bulk, blackjax.ess_tail))
-    return {
-        name: {"rhat": float(rhat[j]), "ess_bulk": float(bulk[j]), "ess_tail": float(tail[j]),
-               "median": float(np.exp(np.median(logs[..., i])))}
-        for j, (name, i) in enumerate(names.items())
-    }  # fmt: skip
+    median = [float(np.exp(np.median(logs[..., i]))) for i in names.values()]
+    columns = zip(rhat.tolist(), bulk.tolist(), tail.tolist(), median, strict=True)
+    keys = "rhat", "ess_bulk", "ess_tail", "median"
+    return {name: dict(zip(keys, column, strict=True)) for name, column in zip(names, columns, strict=True)}
 
 
 def _messages(convergence: dict[str, dict[str, float]], divergences: int) -> list[str]:
@@ -177,3 +188,180 @@ def _messages(convergence: dict[str, dict[str, float]], divergences: int) -> lis
     if divergences:
         messages.append(f"The sampler reports {divergences} divergent steps: some of the posterior may be missing.")
     return messages
+
+
+# --- the density ------------------------------------------------------------------------------------------------------
+
+
+class Point(NamedTuple):
+    """Whitened unknowns: 0 at the minimum, of order 1 in the posterior."""
+
+    whitened: Array  # θ [free]
+    phi: tuple[Array, ...]  # of levels, frequencies and decays
+    log_w: tuple[Array, ...]  # of the detected entries
+
+
+class DensityContext(NamedTuple):
+    """The minimum, its coordinates, the bounds, the priors and the tables."""
+
+    theta: Any  # [size]
+    root: Any  # from whitened coordinates to θ [size, free]
+    bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
+    power: Any  # index of the force and of the exponent; None for a law without a power
+    log_u: Any
+    prior: tuple[Any, Any]  # mean and precision [size]
+    tables: tuple[ObservationTable, ...]
+    phi: tuple[Any, ...]
+    w: tuple[Any, ...]
+    detected: tuple[Any, ...]  # row and column of every detected entry [N, 2]
+    offset: Any  # discretisation error of the contact, dB [R, K]
+    has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
+    stroke: Any  # index of the stroke, by recording [R]
+    column: Any  # index of the model's partial, by column of the table [K]
+    cents: Any  # pitch offset of every stroke
+    partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
+    inputs: ModelInputs
+
+
+def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
+    """Collect what the density needs at the best minimum."""
+    u, o, best, model = problem.parametrisation, problem.observed, estimate.minima.candidates, LevelModel(problem)
+    tables = o.level, o.frequency, o.decay
+    fields = (
+        best.theta[0],
+        _whitening_root(problem, estimate),
+        (u.lower, u.upper),
+        u.force_and_exponent_index,
+        u.log_reference_compression,
+        (u.mean, u.precision),
+        tables,
+        tuple(phi[0] for phi in best.phi),
+        tuple(w[0] for w in best.w),
+        tuple(np.argwhere(np.asarray(t.detected) > 0) for t in tables),
+        best.offset[0],
+        model.has_level,
+        model.stroke,
+        model.columns,
+        model.cents,
+        (o.string_number, o.law, float(problem.initial_values.geometry.length)),
+        problem.model_inputs,
+    )
+    return DensityContext(*jax.tree.map(np.asarray, fields))
+
+
+def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
+    """Root of Laplace's covariance of θ [size, free]; parameters at a bound use `RANGE_FRACTION`."""
+    u = problem.parametrisation
+    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(estimate.theta))
+    # With K_H at a bound, the force only follows p and counts as at a bound too.
+    at_bound = u.at_bound(estimate.theta)[free]
+    covariance = (tangent @ estimate.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
+    covariance = np.where(at_bound[:, None] | at_bound, 0.0, covariance)
+    span = u.upper - u.lower
+    if u.force_and_exponent_index:
+        span[u.force_and_exponent_index[0]] = np.inf
+    wide = np.minimum(u.sd, RANGE_FRACTION * span)[free]
+    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), wide**2))
+    correlation = covariance / np.outer(scale, scale)
+    np.fill_diagonal(correlation, 1.0)
+    root = np.zeros((u.size, len(free)))
+    root[free] = scale[:, None] * np.linalg.cholesky(correlation)
+    return root
+
+
+def reflect_into_bounds(at: DensityContext, whitened):
+    """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
+    free = (at.root != 0).any(axis=1)
+    theta = at.theta + at.root @ whitened
+    reflected = jnp.where(free, _reflect(theta, *at.bounds), theta)
+    if at.power is None:
+        return reflected
+    i, p = at.power
+    shift = jnp.exp(reflected[p]) * at.log_u
+    force = _reflect(theta[i], at.bounds[0][i] + shift, at.bounds[1][i] + shift)
+    return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
+
+
+def _reflect(x, low, high):
+    bounded = jnp.isfinite(high - low) & (high > low)
+    width = jnp.where(bounded, high - low, 1.0)
+    phase = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
+    return jnp.where(bounded, low + jnp.where(phase < width, phase, 2 * width - phase), x)
+
+
+def random_start(at: DensityContext, key, spread: float) -> Point:
+    """A random point, every coordinate with standard deviation `spread` about the minimum."""
+    zero = Point(
+        jnp.zeros(at.root.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.detected)
+    )
+    leaves, tree = jax.tree.flatten(zero)
+    keys = jax.random.split(key, len(leaves))
+    return tree.unflatten([spread * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves, strict=True)])
+
+
+def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
+    """-F; minus infinity where a contact does not end."""
+    at = jax.tree.map(jnp.asarray, at)
+    theta, ended, terms = _terms(at, point, cfg)
+    mean, precision = at.prior
+    F = 0.5 * (precision * (theta - mean) ** 2).sum()
+    for term in terms:
+        F = F + objective(*term)
+    return jnp.where(ended.all(), -F, -jnp.inf)
+
+
+def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
+    """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
+    at = jax.tree.map(jnp.asarray, at)
+    densities = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
+    detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
+    return *detected, densities[0][1]
+
+
+def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
+    """θ, whether contacts ended, and the arguments of `objective` for every table."""
+    theta = reflect_into_bounds(at, point.whitened)
+    level, ended = _levels(at, cfg)(theta)
+    o = at.tables[0]
+    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.has_level
+    strings = [t.value[0] for t in at.tables[1:]]
+    residuals = residual, *string_residuals(theta[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    terms = []
+    for table, r, phi, w, index, x, y in zip(
+        at.tables, residuals, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True
+    ):
+        centre, sd = table.prior
+        reach = HYPER_REACH * sd if table is at.tables[0] else jnp.full_like(sd, jnp.inf)
+        hyper = phi.at[: len(x)].add(sd[: len(x)] * x)
+        hyper = _reflect(hyper, centre - reach, centre + reach)
+        # At its minimum, F has the curvature (ν + 1)/2 in log w of one entry.
+        scale = jnp.sqrt(2 / (table.degrees_of_freedom + 1))
+        change = jnp.zeros_like(w).at[index[:, 0], index[:, 1]].set(scale * y)
+        terms.append((table, r, hyper, w * jnp.exp(change)))
+    return theta, ended, terms
+
+
+def _levels(at: DensityContext, cfg: StaticConfig):
+    """Function of θ: levels, dB [strokes, rows], and whether contacts ended; with the search's forward derivatives."""
+
+    def batch(theta):
+        strokes = len(at.cents)
+        shared = len(theta) - strokes
+        velocity = theta[shared:, None]
+        hammers = jnp.tile(theta[STRING_SIZE:shared], (strokes, 1))
+        return jnp.tile(theta[:STRING_SIZE], (strokes, 1)), at.cents, jnp.concatenate([hammers, velocity], axis=1)
+
+    @jax.custom_jvp
+    def levels(theta):
+        return levels_per_string(*batch(theta), at.inputs, cfg)
+
+    @levels.defjvp
+    def _jvp(primal, tangent):
+        level, slope, ended = level_jacobians_per_string(*batch(primal[0]), at.inputs, cfg)
+        (change,) = tangent
+        string, _, entries = batch(change)
+        moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)
+        moved += (slope[..., STRING_SIZE:] * entries[:, None, at.inputs.free]).sum(axis=-1)
+        return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
+
+    return levels

@@ -11,8 +11,6 @@ from ..analysis import Analysis, law_frequency
 from . import priors
 from .likelihood import ObservationTable
 
-__all__ = ["RecordingStructure", "Observations", "observe", "scatter_by_number", "string_law", "string_residuals"]
-
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST_HZ = 10_000.0
 # log τ, dB, of a table without τ.
@@ -38,14 +36,10 @@ class RecordingStructure:
         """Number of paths."""
         return max(self.group) + 1
 
-    def velocities(self, group: int) -> int:
-        """Number of strokes recorded through a path."""
-        return len({s for s, g in zip(self.stroke, self.group, strict=True) if g == group})
-
     @property
     def path_identifiable(self) -> bool:
         """True if one path has two velocities; without that, path and hammer cannot be distinguished."""
-        return any(self.velocities(g) > 1 for g in range(self.groups))
+        return len({*zip(self.group, self.stroke, strict=True)}) > self.groups
 
 
 @dataclass(frozen=True)
@@ -59,37 +53,6 @@ class Observations:
     string_number: np.ndarray  # int, k of the columns of frequency and decay
     law: np.ndarray  # the reference's string model: Hz and 1/s [2, columns]
     cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
-
-
-def string_law(string, number: np.ndarray, length: float, xp=np):
-    """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
-
-    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of
-    the decay. `xp` is the module NumPy or jax.numpy.
-    """
-    c, kappa, b1, b2 = xp.exp(string)
-    s = (number * xp.pi / length) ** 2
-    omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
-    frequency = xp.sqrt(omega2 - xp.minimum(alpha, 0.9 * xp.sqrt(omega2)) ** 2) / (2 * xp.pi)
-    zero = xp.zeros_like(s)
-    pitch = xp.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
-    loss = xp.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
-    return xp.stack([frequency, alpha]), xp.stack([pitch, loss])
-
-
-def string_residuals(string, measured, number, law, length, xp=np):
-    """Residuals [1, K] of frequencies, cents, and of log decays, and the derivatives of their models [1, K, 4].
-
-    Parameters
-    ----------
-    string : logarithms of c, κ, b1 and b2.
-    measured : values of the tables, over `law` [K] each.
-    number, law : partials k [K] and the reference's string model [2, K]; `length` of the string, m.
-    """
-    value, slope = string_law(string, number, length, xp)
-    models = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
-    slopes = CENTS * slope[0], slope[1] / value[1][:, None]
-    return [(y - model)[None] for y, model in zip(measured, models, strict=True)], [s[None] for s in slopes]
 
 
 def observe(
@@ -163,7 +126,7 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
-    nodes, weight = _path_nodes(layout.groups, path)
+    nodes, weight = priors.path_nodes() if path else (np.array([NONE]), np.ones(1))
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
     hyper = priors.LEVEL
@@ -178,7 +141,7 @@ def _levels(
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
         distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.full(layout.groups, float(path)),
-        log_tau=nodes,
+        log_tau=np.repeat(nodes[:, None], layout.groups, axis=1),
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         variance_profile=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
@@ -195,26 +158,17 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
     """
     recordings = len(layout.stroke)
     onset = np.eye(recordings)[:, :, None] * (20 / np.log(10) * alpha)
-    onset_sd = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
+    onset_sd = np.full(recordings, np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
     if not gains:
-        return onset, onset_sd
+        return onset, onset_sd[None]
     path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
+    # A path with one gain group has no deviation from its gain.
     several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
     own = own[(own * several).any(axis=1)]
-    own_sd = np.array(priors.GAIN_DEVIATION if len(own) else [0.0])[:, None]
     gain = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
-    ones = np.ones_like(own_sd)
-    return np.concatenate([gain, onset]), np.concatenate(
-        [ones * np.full(len(path), priors.GAIN), own_sd * np.ones(len(own)), ones * onset_sd], axis=1
-    )
-
-
-def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
-    """log τ at the nodes of its prior, the same for every group [T, G], and their weights."""
-    if not path:
-        return np.full((1, groups), NONE), np.ones(1)
-    nodes, weight = priors.path_nodes()
-    return np.repeat(nodes[:, None], groups, axis=1), weight
+    deviations = priors.GAIN_DEVIATION if len(own) else (0.0,)
+    scale = [[*np.full(len(path), priors.GAIN), *np.full(len(own), sd), *onset_sd] for sd in deviations]
+    return np.concatenate([gain, onset]), np.array(scale)
 
 
 def _string_tables(
@@ -231,12 +185,10 @@ def _string_tables(
         # Relative to the recording's own pitch and to the reference's inharmonicity.
         cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
         per_hertz, decay = CENTS / t.frequency, ref.b1 + ref.d2 * t.number**2
-        pitch.append((
-            t.number, cents, t.frequency_error * per_hertz, t.frequency_systematic * np.outer(per_hertz, per_hertz),
-        ))  # fmt: skip
-        loss.append((
-            t.number, np.log(t.decay / decay), t.decay_error / t.decay, t.decay_systematic / np.outer(decay, decay),
-        ))  # fmt: skip
+        systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
+        pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
+        systematic = t.decay_systematic / np.outer(decay, decay)
+        loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
     glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (

@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..felt import ALL_PARAMETERS, FeltLaw
-from ..parameters import STRING_NAMES, Geometry, Parameter, String
-
-__all__ = ["LOG_ABSENT_LOSS", "STRING_SIZE", "Parametrisation", "names_of"]
+from ..parameters import STRING_NAMES, Geometry, String
 
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
@@ -35,10 +33,9 @@ class Parametrisation:
 
     mean: np.ndarray
     sd: np.ndarray  # 0: fixed at the mean
-    lower: np.ndarray
+    lower: np.ndarray  # bounds of the values' logarithms, so of K_H in place of the force
     upper: np.ndarray
     log_reference_compression: float  # log of the reference compression, m
-    stiffness: tuple[float, float]  # log of the lowest and the highest K_H; unused by a law without a power
     geometry: Geometry  # strike position and contact width are parameters
     law: FeltLaw
 
@@ -87,101 +84,82 @@ class Parametrisation:
         """Precision of the prior; 0 for fixed parameters [size]."""
         return np.where(self.free, 1 / np.where(self.free, self.sd, 1.0) ** 2, 0.0)
 
-    def project(self, theta: np.ndarray) -> np.ndarray:
-        """The nearest point inside the bounds [..., size]; the force is limited so that K_H stays inside its own."""
-        theta = np.where(self.free, np.clip(theta, self.lower, self.upper), self.mean)
-        if self.force_and_exponent_index and self.free[self.force_and_exponent_index[0]]:
-            force, p = self.force_and_exponent_index
-            low, high = (k + np.exp(theta[..., p]) * self.log_reference_compression for k in self.stiffness)
-            theta[..., force] = np.clip(theta[..., force], low, high)
-        return theta
+    # --- coordinates: θ has the force, log values have K_H ------------------------------------------------------------
 
-    def bounds_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of all parameters at `theta` [..., size]."""
-        lower, upper = (np.broadcast_to(x, theta.shape).copy() for x in (self.lower, self.upper))
-        if self.force_and_exponent_index and self.free[self.force_and_exponent_index[0]]:
-            force, p = self.force_and_exponent_index
-            shift = np.exp(theta[..., p]) * self.log_reference_compression
-            lower[..., force], upper[..., force] = self.stiffness[0] + shift, self.stiffness[1] + shift
-        return lower, upper
-
-    def at_bound(self, theta: np.ndarray) -> np.ndarray:
-        """Mask of the free parameters at a bound [..., size]."""
-        lower, upper = self.bounds_at(theta)
-        return self.free & ((theta <= lower + 1e-9) | (theta >= upper - 1e-9))
-
-    def range(self, i: int) -> tuple[float, float]:
-        """Bounds of a value's logarithm; in place of the force, those of K_H."""
-        return self.stiffness if self._is_force(i) else (float(self.lower[i]), float(self.upper[i]))
-
-    def bound_jacobian(self, theta: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """d θ/d(free θ) [B, size, size] at `theta`: with K_H at a bound the force follows p, as in `project`."""
-        out = np.tile(np.eye(self.size), (len(theta), 1, 1))
+    def _shift(self, theta: np.ndarray) -> np.ndarray:
+        """θ minus the log values [..., size]: p log u_ref for the force, else 0. Both have the same p."""
+        shift = np.zeros(theta.shape)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            out[:, force, p] = np.where(
-                active[:, force] & self.free[p], np.exp(theta[:, p]) * self.log_reference_compression, 0.0
-            )
-        return out
+            shift[..., force] = np.exp(theta[..., p]) * self.log_reference_compression
+        return shift
+
+    def log_values(self, theta: np.ndarray) -> np.ndarray:
+        """`theta` with log K_H in place of the force [..., size]."""
+        return theta - self._shift(theta)
 
     def from_log_values(self, logs: np.ndarray) -> np.ndarray:
         """θ from the `log_values` of it [..., size]."""
-        theta = np.array(logs, float)
-        if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            theta[..., force] += np.exp(logs[..., p]) * self.log_reference_compression
-        return theta
+        return logs + self._shift(logs)
 
-    def fix_parameter(self, i: int, log: float) -> Parametrisation:
-        """Fix one parameter, or K_H in place of the force, at a logarithm by equal bounds."""
-        if self._is_force(i):
-            return replace(self, stiffness=(log, log))
-        lower, upper = self.lower.copy(), self.upper.copy()
-        lower[i] = upper[i] = log
-        return replace(self, lower=lower, upper=upper)
+    def tangent(self, theta: np.ndarray) -> np.ndarray:
+        """d(log values)/dθ [size, size] at `theta` [size]."""
+        out = np.eye(self.size)
+        if self.force_and_exponent_index:
+            force, _ = self.force_and_exponent_index
+            out[self.force_and_exponent_index] = -self._shift(theta)[force]
+        return out
+
+    def value(self, name: str, log: float) -> float:
+        """A value from its logarithm, limited to its range: the exponential of a bound's logarithm can exceed it."""
+        value, ranges = float(np.exp(log)), ALL_PARAMETERS | self.law.hammer_parameters
+        return min(max(value, ranges[name].lower), ranges[name].upper) if name in ranges else value
 
     def string(self, theta: np.ndarray) -> String:
         """The string at `theta` [size]."""
-        values = zip(STRING_NAMES, np.exp(theta[:STRING_SIZE]), strict=True)
-        return String(*(_inside(ALL_PARAMETERS[n], float(x)) for n, x in values))
+        return String(*map(self.value, STRING_NAMES, theta[:STRING_SIZE]))
 
     def hammer(self, theta: np.ndarray, stroke: int) -> Any:
         """The hammer at `theta` [size] with the velocity of one stroke."""
         logs = dict(zip(self.names, self.log_values(theta), strict=False)) | {"v_H0": theta[self.shared + stroke]}
-        return self.law.make_hammer(
-            {n: _inside(box, float(np.exp(logs[n]))) for n, box in self.law.hammer_parameters.items()}
-        )
-
-    def value(self, name: str, log: float) -> float:
-        """A value from its logarithm, limited to its range if it has one."""
-        boxes = ALL_PARAMETERS | self.law.hammer_parameters
-        return _inside(boxes[name], float(np.exp(log))) if name in boxes else float(np.exp(log))
+        return self.law.make_hammer({name: self.value(name, logs[name]) for name in self.law.hammer_parameters})
 
     def geometry_at(self, theta: np.ndarray) -> Geometry:
         """The geometry with the strike position and contact width at `theta` [size]."""
         strike_position, width = (float(np.exp(theta[self.index_of(name)])) for name in ("x0", "width"))
         return self.geometry._replace(strike_position=strike_position, width=width)
 
-    def log_values(self, theta: np.ndarray) -> np.ndarray:
-        """`theta` with log K_H in place of the force [..., size]."""
-        logs = np.array(theta, float)
-        if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            logs[..., force] -= np.exp(theta[..., p]) * self.log_reference_compression
-        return logs
+    # --- bounds -------------------------------------------------------------------------------------------------------
 
-    def tangent(self, theta: np.ndarray) -> np.ndarray:
-        """d(log values)/dθ [size, size] at `theta` [size]."""
-        out = np.eye(self.size)
+    def range(self, i: int) -> tuple[float, float]:
+        """Bounds of the logarithm of one value."""
+        return float(self.lower[i]), float(self.upper[i])
+
+    def bounds_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of all parameters at `theta` [..., size]: those of the force depend on p."""
+        shift = self._shift(theta)
+        return self.lower + shift, self.upper + shift
+
+    def project(self, theta: np.ndarray) -> np.ndarray:
+        """The nearest point inside the bounds [..., size]."""
+        lower, upper = self.bounds_at(np.where(self.free, np.clip(theta, self.lower, self.upper), self.mean))
+        return np.where(self.free, np.clip(theta, lower, upper), self.mean)
+
+    def at_bound(self, theta: np.ndarray) -> np.ndarray:
+        """Mask of the free parameters at a bound [..., size]."""
+        lower, upper = self.bounds_at(theta)
+        return self.free & ((theta <= lower + 1e-9) | (theta >= upper - 1e-9))
+
+    def bound_jacobian(self, theta: np.ndarray, active: np.ndarray) -> np.ndarray:
+        """d θ/d(free θ) [B, size, size] at `theta`: with K_H at a bound the force follows p, as in `project`."""
+        out = np.tile(np.eye(self.size), (len(theta), 1, 1))
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            out[force, p] = -np.exp(theta[p]) * self.log_reference_compression
+            out[:, force, p] = np.where(active[:, force] & self.free[p], self._shift(theta)[:, force], 0.0)
         return out
 
-    def _is_force(self, i: int) -> bool:
-        return self.force_and_exponent_index is not None and i == self.force_and_exponent_index[0]
-
-
-def _inside(box: Parameter, value: float) -> float:
-    """Limit a value to its range: the exponential of a bound's logarithm can exceed it by rounding."""
-    return min(max(value, box.lower), box.upper)
+    def fix_parameter(self, i: int, log: float) -> Parametrisation:
+        """Fix the logarithm of one value by equal bounds."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[i] = upper[i] = log
+        return replace(self, lower=lower, upper=upper)

@@ -1,18 +1,32 @@
-"""Every prior of a fit, with its source. Scales are standard deviations of logarithms unless a unit is given.
+"""Every prior of a fit, with its source, and its initial and given values.
 
 A prior describes a piano before its recording is analysed. None of these numbers is fitted to the recordings of a fit.
-`benchmarks/path_prior.py` compares the prior of τ with notes recorded at several velocities.
+Scales are standard deviations of logarithms unless a unit is given. `benchmarks/path_prior.py` compares the prior of τ
+with notes recorded at several velocities.
+
+The initial string follows from the recording: wave speed and stiffness from the frequencies of the partials, losses
+from their decays. The recording does not determine the hammer directly, so it starts at the literature's values for the
+key. A length or mass that the setup does not give is the literature's too, and every value that depends on it is marked
+so.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
 
-__all__ = ["Hyperprior"]
+from ..analysis import Analysis
+from ..conversions import midi_of
+from ..errors import SetupError
+from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
+from ..literature import typical
+from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
+from ..setup import Setup
 
 # --- hammer: about the literature's values for the key (literature.typical); the felt law has the felt's priors -------
 # Hammer masses of neighbouring instruments differ by tens of percent (Chaigne and Askenfelt 1994; Chabassier): standard
@@ -43,6 +57,11 @@ PATH = (4.5, 0.4)
 PATH_NODES = 3
 # A censored partial may exceed the bound of its band by this, dB: leakage of neighbours can cancel it.
 CENSORED_MARGIN = 1.0
+# Initial hammer velocity, m/s, if none is given: a moderate forte.
+ASSUMED_VELOCITY = 2.0
+# Largest distance, cents, of a given wave speed and length from the measured pitch. Errors of a ruler and of a
+# stretched octave are smaller, and a larger distance belongs to the neighbouring key.
+ANOTHER_PITCH = 50.0
 
 
 class Hyperprior(NamedTuple):
@@ -84,3 +103,125 @@ def log_gain(gain: float, others: Sequence[float] = (0.0,)) -> float:
     regime = -(len(given) - 1) * np.log(sd) - 0.5 * square / sd**2
     predictive = norm.logpdf(gain, given.mean(), sd * np.sqrt(1 + 1 / len(given)))
     return float(np.logaddexp.reduce(regime + predictive) - np.logaddexp.reduce(regime))
+
+
+# --- initial and given values -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class InitialValues:
+    """Initial values by name: the string, the felt, hammer mass and velocity, strike position and contact window."""
+
+    values: dict[str, float]
+    initial: dict[str, float]  # reported as initial: `values`, or the user's initial value
+    fixed: dict[str, str]  # name -> "fixed" (measured, given) or "assumed"
+    assumptions: dict[str, tuple[str, ...]]  # name -> the assumed quantities its SI value rests on
+    bounds: dict[str, tuple[float, float]]
+    geometry: Geometry
+    assumed: tuple[str, ...]  # of length, mass, width
+    quantity: str
+    scale: float | None  # units at digital full scale; None when uncalibrated
+    reference_hammer: Hammer  # the literature's for the key, with given values; sets the scale of contacts
+    user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
+    law: FeltLaw = DEFAULT_LAW
+
+    @property
+    def unknown_path(self) -> bool:
+        """True if an unknown path lies between the bridge and the file."""
+        return self.scale is None and self.quantity == "pressure"
+
+
+def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> InitialValues:
+    """Combine analysis, setup and literature.
+
+    Parameters
+    ----------
+    velocity : measured hammer velocity, m/s. It overrides the setup's.
+    """
+    key = float(np.clip(midi_of(analysis.f0), 21, 108))
+    preset, law = typical(key), setup.law
+    geometry, assumed = _geometry(setup, preset.geometry)
+    values = _string_values(analysis, geometry.length)
+    _check_pitch(analysis, setup, geometry.length)
+    hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
+    given = {k: v for k, v in setup.initial.items() if k not in values} | setup.fixed
+    values |= hammer | {"x0": geometry.strike_position, "width": geometry.width}
+    values |= {name: parameter.prior_median(key) for name, parameter in law.parameters.items()} | given
+    fixed = dict.fromkeys(setup.fixed, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
+    measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
+    if measured is not None:
+        values["v_H0"], fixed["v_H0"] = measured, "fixed"
+    elif setup.pickup_scale is None and "v_H0" not in fixed:
+        fixed["v_H0"] = "assumed"
+    if setup.strike_position is not None:
+        fixed["x0"] = "fixed"
+    absent = {*ALL_PARAMETERS} & {*law.columns} - {*law.parameters, *COMMON_PARAMETERS}
+    fixed |= {name: "fixed" for name in ALL_PARAMETERS if name in absent}
+    ranges = ALL_PARAMETERS | law.hammer_parameters
+    for name in set(values) & set(ranges):
+        low, high = setup.bounds.get(name, (ranges[name].lower, ranges[name].upper))
+        values[name] = min(max(values[name], low), high)
+    # A user's law may use the literature's names for other quantities.
+    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
+    return InitialValues(
+        values=values,
+        initial=values | setup.initial,
+        fixed=fixed,
+        assumptions=_assumptions(assumed, law),
+        bounds=dict(setup.bounds),
+        geometry=geometry,
+        assumed=assumed,
+        quantity=setup.pickup_quantity,
+        scale=setup.pickup_scale,
+        reference_hammer=Hammer(**hammer | {name: values[name] for name in shared}),
+        user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
+        law=law,
+    )
+
+
+def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]]:
+    """Length, mass and strike position of the setup, completed from the literature's string for the key."""
+    length = setup.length or preset.length
+    # A string of another length is assumed to have the literature's mass per metre.
+    mass = setup.mass or preset.mass * length / preset.length
+    width = setup.strike_width or min(preset.width, 0.1 * length)
+    strike = setup.strike_position or 0.12 * length
+    pickup = setup.pickup_position or 0.5 * length
+    given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
+    return Geometry(length, mass, strike, width, pickup), tuple(k for k, v in given.items() if v is None)
+
+
+def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
+    """Reject a length, or a length and a wave speed, that contradict the measured pitch."""
+    parameter, measured = PARAMETERS["c"], f"the pitch of the recordings is {analysis.f0:.1f} Hz"
+    given = f"length = {length:g} m" + ("" if setup.length else ", the literature's,")
+    c = setup.fixed.get("c")
+    if c is None:
+        needed = 2 * length * analysis.f0
+        if not parameter.lower <= needed <= parameter.upper:
+            raise SetupError(
+                f"[string] {given} needs a wave speed of {needed:.3g} m/s, because {measured}. The range is "
+                f"{parameter.lower:g} to {parameter.upper:g} m/s; correct the length"
+            )
+    elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
+        raise SetupError(
+            f"[fixed] c = {c:g} m/s and [string] {given} make {c / (2 * length):.1f} Hz, but {measured}; "
+            "correct one of them"
+        )
+
+
+def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
+    """c = 2 L f0, κ = c L √B/π, b1, and b2 = d2 L²/π² of the decay law α = b1 + d2 k²."""
+    c = 2 * length * analysis.f0
+    return {
+        "c": c,
+        "kappa": c * length * math.sqrt(max(analysis.B, 1e-9)) / math.pi,
+        "b1": analysis.b1,
+        # A d2 below its standard error carries no information: start where it would just be detectable.
+        "b2": max(analysis.d2, 0.1 * analysis.d2_error, 1e-9) * (length / math.pi) ** 2,
+    }
+
+
+def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
+    scaled = {"length": ("c", "kappa", "b2", "x0"), "mass": (*law.parameters_with_unit("N"), "M_H")}
+    return {name: (size,) for size, names in scaled.items() if size in assumed for name in names}

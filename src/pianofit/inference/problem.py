@@ -5,25 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis import SAME_KEY_CENTS, Analysis, cents_above
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.files import printable
 from ..io.number_format import counted
 from ..model import Simulation, simulate
-from ..parameters import STRING_NAMES, String
+from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
 from ..setup import RecordingInfo, Setup, recording_info_for
 from . import priors
-from .batched_model import ModelInputs, StaticConfig
-from .initial_values import InitialValues, starting_values
-from .observation_tables import Observations, RecordingStructure, observe, string_residuals
+from .observation_tables import Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
-
-__all__ = ["FitProblem", "simulation_grid", "build_problem"]
+from .priors import InitialValues, starting_values
 
 # A recording with fewer partials above its noise does not constrain the hammer.
 FEWEST = 3
@@ -42,6 +40,25 @@ ROWS = 64
 STRIKE = (0.04, 0.33)
 # Range of the effective width of the contact, relative to the given one.
 WIDTHS = (0.3, 2.0)
+
+
+class StaticConfig(NamedTuple):
+    """Static arguments of a compiled program of the model."""
+
+    n_modes: int
+    rows: int  # partials with levels, 1 to rows
+    quantity: str
+    law: FeltLaw
+
+
+class ModelInputs(NamedTuple):
+    """Inputs of the model that all strokes share."""
+
+    geometry: Geometry  # strike position and width are those of the stroke
+    rate: Any  # of the contact, Hz
+    log_u: Any  # log of the reference compression, m
+    steps: Any  # maximum steps of a contact, a multiple of 32
+    free: Any  # int, entries of a stroke for derivatives; -1 for a direction without effect [directions]
 
 
 @dataclass(frozen=True)
@@ -65,7 +82,7 @@ class FitProblem:
     @property
     def path(self) -> bool:
         """True if an unknown path lies between the bridge and the file."""
-        return self.initial_values.scale is None and self.initial_values.quantity == "pressure"
+        return self.initial_values.unknown_path
 
     @property
     def calibrated(self) -> bool:
@@ -82,11 +99,24 @@ class FitProblem:
         """Index of the reference stroke's velocity in θ."""
         return self.parametrisation.shared + self.structure.stroke[self.reference]
 
-    def string_residuals(self, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Residuals [1, K] of frequencies and decays and their derivatives [1, K, 4] at a `string` [4]."""
-        o = self.observed
-        measured = o.frequency.value[0], o.decay.value[0]
-        return string_residuals(string, measured, o.string_number, o.law, float(self.initial_values.geometry.length))
+    @property
+    def reported_parameters(self) -> dict[str, int]:
+        """Indices in θ, by name, of the free shared parameters and of the reference stroke's velocity."""
+        u = self.parametrisation
+        return {name: i for i, name in (*enumerate(u.names), (self.reference_velocity_index, "v_H0")) if u.free[i]}
+
+    @property
+    def parameter_indices(self) -> dict[str, int]:
+        """Indices in θ, by name, of the parameters of the felt law and of every velocity.
+
+        `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N.
+        """
+        u = self.parametrisation
+        shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > LOG_ABSENT_LOSS}
+        strokes = range(u.shared, u.size)
+        return shared | {
+            "v_H0" if at == self.reference_velocity_index else f"v_H0 {at - u.shared + 1}": at for at in strokes
+        }
 
 
 def build_problem(
@@ -105,27 +135,39 @@ def build_problem(
     """
     _check_recordings(recordings, analyses)
     entries = [recording_info_for(setup, recording.path, len(recordings) == 1) for recording in recordings]
-    layout = _layout(entries)
-    measured: list[float | None] = [None] * layout.strokes
-    for stroke, entry in zip(layout.stroke, entries, strict=True):
+    structure = _structure(entries)
+    measured: list[float | None] = [None] * structure.strokes
+    for stroke, entry in zip(structure.stroke, entries, strict=True):
         v = velocity if velocity is not None else entry.v_H0
         measured[stroke] = measured[stroke] if v is None else v
-    reference = _reference(analyses, layout, measured)
+    # The fastest recording with a measured velocity, or else the brightest.
+    order = [(measured[s] or 0.0, brightness(a)) for s, a in zip(structure.stroke, analyses, strict=True)]
+    reference = order.index(max(order))
+    stroke = structure.stroke[reference]
     analyses = tuple(analysis.with_decay_law(analyses[reference]) for analysis in analyses)
-    start = starting_values(analyses[reference], replace(setup, recordings=()), measured[layout.stroke[reference]])
-    unnamed = "v_H0" in setup.fixed and measured[layout.stroke[reference]] is None
+    start = starting_values(analyses[reference], replace(setup, recordings=()), measured[stroke])
+    unnamed = "v_H0" in setup.fixed and measured[stroke] is None
     if unnamed:
-        measured[layout.stroke[reference]] = setup.fixed["v_H0"]
+        measured[stroke] = setup.fixed["v_H0"]
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    path = start.scale is None and start.quantity == "pressure"
-    observed = observe(analyses, layout, reference, scale, path, start.scale is None)
-    unknowns, inputs, cfg = _model(start, measured, observed, max(r.rate for r in recordings), path)
+    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
+    unknowns, inputs, cfg = _model(start, measured, observed, max(r.rate for r in recordings))
     if not unknowns.free.any():
         raise FitError("nothing is left to fit: [fixed] fixes all parameters; remove those that the fit should find")
     return FitProblem(
-        tuple(recordings), analyses, start, layout, reference, tuple(measured), unnamed and layout.strokes > 1,
-        _unmatched(setup, recordings), unknowns, observed, inputs, cfg,
-    )  # fmt: skip
+        tuple(recordings),
+        analyses,
+        start,
+        structure,
+        reference,
+        tuple(measured),
+        unnamed and structure.strokes > 1,
+        _unmatched(setup, recordings),
+        unknowns,
+        observed,
+        inputs,
+        cfg,
+    )
 
 
 def _check_recordings(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> None:
@@ -157,49 +199,44 @@ def _unmatched(setup: Setup, recordings: Sequence[Recording]) -> tuple[tuple[str
     return tuple((file, name) for file, name in similar if name)
 
 
-def _layout(entries: Sequence[RecordingInfo]) -> RecordingStructure:
+def _structure(entries: Sequence[RecordingInfo]) -> RecordingStructure:
+    """Without a name, a recording has its own stroke and gain, and the path of all others without one."""
+
     def index(names: list) -> tuple[int, ...]:
         distinct = list(dict.fromkeys(names))
         return tuple(distinct.index(name) for name in names)
 
-    separate = [("", i) for i in range(len(entries))]
     return RecordingStructure(
-        index([own if e.stroke is None else e.stroke for e, own in zip(entries, separate, strict=True)]),
+        index([("", i) if e.stroke is None else e.stroke for i, e in enumerate(entries)]),
         index([e.group or "" for e in entries]),
-        index([own if e.gain_group is None else e.gain_group for e, own in zip(entries, separate, strict=True)]),
+        index([("", i) if e.gain_group is None else e.gain_group for i, e in enumerate(entries)]),
     )
 
 
-def _reference(analyses: Sequence[Analysis], layout: RecordingStructure, measured: Sequence[float | None]) -> int:
-    """The fastest recording with a measured velocity, or else the brightest."""
-
-    def order(i: int) -> tuple[float, float]:
-        p = analyses[i].partials
-        amplitude = 10 ** (p.level / 20)
-        return measured[layout.stroke[i]] or 0.0, float((p.number * amplitude).sum() / amplitude.sum())
-
-    return max(range(len(analyses)), key=order)
+def brightness(analysis: Analysis) -> float:
+    """Mean number of the partials, weighted by amplitude."""
+    number, amplitude = analysis.partials.number, 10 ** (analysis.partials.level / 20)
+    return float((number * amplitude).sum() / amplitude.sum())
 
 
 def _model(
-    start: InitialValues, measured: Sequence[float | None], observed: Observations, rate: float, path: bool
+    start: InitialValues, measured: Sequence[float | None], observed: Observations, rate: float
 ) -> tuple[Parametrisation, ModelInputs, StaticConfig]:
     """Priors and bounds of the parameters, and the settings of the model."""
-    geometry = start.geometry
+    geometry, law = start.geometry, start.law
     string = String(*(start.values[n] for n in STRING_NAMES))
     first = simulate(string, start.reference_hammer._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
     # A given stiffness is fixed as it is: at a reference compression of 1 m it is the force.
-    fixed = start.law.power is None or start.law.power[0] in start.fixed
+    fixed = law.power is None or law.power[0] in start.fixed
     log_u = 0.0 if fixed else float(np.log(0.5 * first.pulse.compression.max()))
-    unknowns = _unknowns(start, measured, log_u, path)
-    contact_rate, steps, rows = simulation_grid(
-        first, 2 * geometry.strike_position / string.c, int(observed.number.max()), LONGEST
-    )
-    size = tuple(map(np.float64, geometry))
+    unknowns = _parametrisation(start, measured, log_u)
+    round_trip = 2 * geometry.strike_position / string.c
+    contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)
     free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
-    inputs = ModelInputs(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)  # pyright: ignore[reportArgumentType]
-    return unknowns, inputs, StaticConfig(max(first.modes.pole.shape[0], rows), rows, start.quantity, start.law)
+    sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
+    inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)
+    return unknowns, inputs, StaticConfig(max(first.modes.pole.shape[0], rows), rows, start.quantity, law)
 
 
 def simulation_grid(first: Simulation, round_trip: float, last: int, longest: float) -> tuple[float, int, int]:
@@ -216,28 +253,24 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def _unknowns(start: InitialValues, measured: Sequence[float | None], log_u: float, path: bool) -> Parametrisation:
+def _parametrisation(start: InitialValues, measured: Sequence[float | None], log_u: float) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
-    names, boxes = names_of(law), ALL_PARAMETERS | law.hammer_parameters
+    names = names_of(law)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
     # A loss that the law does not have gets no spread, so it is fixed.
-    mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else LOG_ABSENT_LOSS for n in names])
-    sd = np.array([0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names])
-    if path:  # an unknown path absorbs the effect of the width
+    mean = [np.log(max(values[n], 1e-300)) if n in spread else LOG_ABSENT_LOSS for n in names]
+    sd = [0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names]
+    if start.unknown_path:  # it absorbs the effect of the width
         sd[names.index("width")] = 0.0
-    length, width = geometry.length, geometry.width
-    bounds = {n: (float(np.log(box.lower)), float(np.log(box.upper))) for n, box in boxes.items()}
-    bounds["x0"] = float(np.log(max(STRIKE[0] * length, 0.51 * width))), float(np.log(STRIKE[1] * length))
-    bounds["width"] = tuple(np.log(np.array(WIDTHS) * width).tolist())
-    bounds |= {n: tuple(np.log(pair).tolist()) for n, pair in start.bounds.items()}
-    stiffness = (-np.inf, np.inf)
-    if law.power is not None:  # the force is searched, but the bounds are those of K_H
-        stiff, exponent = law.power
-        mean[names.index(stiff)] += values[exponent] * log_u
-        stiffness, bounds[stiff] = bounds[stiff], stiffness
-    velocities = [np.log(priors.VELOCITY if v is None else v) for v in measured]
-    lower, upper = np.array([bounds[n] for n in names] + [bounds["v_H0"]] * len(measured)).T
-    mean = np.append(mean, velocities)
-    sd = np.append(sd, [priors.VELOCITY_SD if v is None else 0.0 for v in measured])
+    mean = np.array(mean + [np.log(priors.VELOCITY if v is None else v) for v in measured])
+    sd = np.array(sd + [priors.VELOCITY_SD if v is None else 0.0 for v in measured])
+    bounds = {n: (box.lower, box.upper) for n, box in (ALL_PARAMETERS | law.hammer_parameters).items()}
+    bounds["x0"] = max(STRIKE[0] * geometry.length, 0.51 * geometry.width), STRIKE[1] * geometry.length
+    bounds["width"] = WIDTHS[0] * geometry.width, WIDTHS[1] * geometry.width
+    bounds |= start.bounds
+    lower, upper = np.log([bounds[n] for n in names] + [bounds["v_H0"]] * len(measured)).T
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
-    return Parametrisation(mean, sd, lower, upper, log_u, stiffness, geometry, law)
+    if law.power is not None:  # the force is searched
+        stiffness, exponent = law.power
+        mean[names.index(stiffness)] += values[exponent] * log_u
+    return Parametrisation(mean, sd, lower, upper, log_u, geometry, law)

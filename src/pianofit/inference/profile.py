@@ -19,12 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from .intervals import IntervalResult, reported_parameters, unbounded_warnings
-from .map_estimate import Estimate
-from .optimiser import Optimiser
+from .laplace import Estimate, Interval, IntervalResult, unbounded_warnings
+from .objective import Objective
+from .optimiser import Options, minimise
 from .problem import FitProblem
-
-__all__ = ["DELTA_NLL_95", "profiles"]
 
 # Rise of F at the ends of a 95 % interval: half the square of the normal's quantile.
 DELTA_NLL_95 = HALF_WIDTH_95**2 / 2
@@ -60,24 +58,23 @@ class _ProfileBranch(NamedTuple):
 
 def profiles(problem: FitProblem, estimate: Estimate) -> IntervalResult:
     """Intervals of the free shared parameters and of the reference stroke's velocity, by profiles of F."""
-    names = reported_parameters(problem)
+    names = problem.reported_parameters
     profile = _Profile(problem, estimate)
     jobs = [(i, side) for i in names.values() for side in (-1.0, 1.0)]
     # Separate threads: a branch waits for programs in `batched_model.thread_pool`, so it must not occupy that pool.
     with ThreadPoolExecutor(WORKERS) as threads:
         branches = list(threads.map(lambda job: profile.trace_branch(*job), jobs))
-    entries, diagnostics = {}, {}
-    lower = dict.fromkeys(names, 0.0)
+    intervals, diagnostics, lower = {}, {}, {}
     for (name, i), low, high in zip(names.items(), branches[::2], branches[1::2], strict=True):
-        ends = np.clip(np.exp([low.end, high.end]), *np.exp(problem.parametrisation.range(i)))
-        sides = [word for word, branch in (("low", low), ("high", high)) if branch.open]
-        entries[name] = {"interval": ends.tolist(), "interval_by": "profile", "interval_open": sides}
+        first, last = np.clip(np.exp([low.end, high.end]), *np.exp(problem.parametrisation.range(i))).tolist()
+        sides = tuple(word for word, branch in (("low", low), ("high", high)) if branch.open)
+        intervals[name] = Interval(first, last, "profile", sides)
         points = sorted([*low.points, *high.points[1:]], key=lambda point: point.log)
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         diagnostics[name] = {"points": rises, "evaluations": len(points)}
         lower[name] = float(estimate.minima.nll.min()) - min(p.F for p in points)
-    messages = (*_messages(lower), *unbounded_warnings(entries))
-    return IntervalResult("profile", entries, messages, {"profile": diagnostics})
+    messages = (*_messages(lower), *unbounded_warnings(intervals))
+    return IntervalResult("profile", intervals, messages, {"profile": diagnostics})
 
 
 def _messages(lower: dict[str, float]) -> list[str]:
@@ -103,14 +100,13 @@ class _Profile:
 
     def _minimised(self, problem: FitProblem, near: _Point) -> _Point:
         """The minimum of F by the parameters of `problem`, from `near`; infinite if a contact does not end there."""
-        u = problem.parametrisation
+        u, objective = problem.parametrisation, Objective.complete(problem)
         theta = u.project(u.from_log_values(near.logs))
-        optimiser = Optimiser(problem)
-        candidate = optimiser.initialise(theta[None], near.phi, near.w, self.offset)
+        candidate = objective.start(theta[None], near.phi, near.w, self.offset)
         if not len(candidate):
             return near._replace(F=np.inf)
-        end = optimiser.minimise(candidate, 0.0, ITERATIONS, TOLERANCE)
-        return _Point(near.log, u.log_values(end.theta[0]), end.phi, end.w, float(optimiser.total(end)[0]))
+        end = minimise(objective, candidate, Options(ITERATIONS, TOLERANCE))
+        return _Point(near.log, u.log_values(end.theta[0]), end.phi, end.w, float(objective.total(end)[0]))
 
     def _fixed(self, i: int, log: float, near: _Point, logs: np.ndarray) -> _Point:
         """The minimum with value `i` fixed, from `logs` [size] and the nuisances of `near`."""

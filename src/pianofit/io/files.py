@@ -50,6 +50,7 @@ __all__ = [
     "write_error",
     "replace_strings",
     "write_file",
+    "write_wav",
 ]
 
 # The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
@@ -324,6 +325,35 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     stream = io.BytesIO()
     wavfile.write(stream, rate, samples.T.astype(np.float32))
     return stream.getvalue()
+
+
+def write_wav(path: str | os.PathLike[str], samples: np.ndarray, rate: int) -> None:
+    """Write a WAV file of 32 bit floats atomically; an existing file is replaced.
+
+    Parameters
+    ----------
+    path : path of the file.
+    samples : [samples] or [channels, samples], ±1 = full scale.
+    rate : Hz.
+
+    Returns
+    -------
+    None
+
+    Raises
+    ------
+    ParameterError
+        If `samples` are not floats of a valid shape, or the rate is invalid.
+    OutputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, pianofit
+    >>> pianofit.write_wav("silence.wav", np.zeros(44_100), 44_100)
+    """
+    path_name(path)
+    replace_file(path, encode_wav(samples, rate))
 
 
 def encode_pcm(samples: np.ndarray, rate: int, kind: str = "wav", bits: int = 24) -> bytes:

@@ -25,8 +25,6 @@ from .static_law import StaticLaw, compared_laws, draw_compared_laws
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["FIGURE_KINDS", "ComparedQuantity", "Comparison", "compare"]
-
 NAMES = ("A", "B")
 FIGURE_KINDS = ("svg", "png", "pdf")  # of files, by their suffix
 COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "status_b", "reason")

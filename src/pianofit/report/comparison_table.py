@@ -33,8 +33,6 @@ from .identifiability import is_scale_open
 from .static_law import StaticLaw, largest_compression, static_law
 from .text import NOT_FELT, VELOCITY_RATIO
 
-__all__ = ["ComparedQuantity", "Sides"]
-
 # Largest difference of the logarithms of equal numbers, from rounding in a file; and of a compression that was computed
 # from a force.
 SAME, SAME_COMPRESSION = 1e-9, 1e-6

@@ -12,50 +12,30 @@ from __future__ import annotations
 
 import re
 from html import escape
-from typing import NamedTuple
 from unicodedata import normalize
 
 from ..schema.fit import Fit
 from ..schema.quantities import MEANINGS, UNITS
 from .text import SYMBOLS, VELOCITY_RATIO, format_unit
 
-__all__ = ["Equation", "Symbol", "equations", "formula_html", "symbols"]
-
-
-class Equation(NamedTuple):
-    """One line of the box."""
-
-    name: str
-    formulas: tuple[str, ...]  # in the notation of `formula`
-
-
-class Symbol(NamedTuple):
-    """One row of the table of symbols, for the macro `symbol`."""
-
-    symbol: str
-    meaning: str
-    unit: str
-
-
-STRING = Equation(
-    "String",
-    (
-        r"\frac{∂^2 y}{∂ t^2} = c^2 \frac{∂^2 y}{∂ x^2} - κ^2 \frac{∂^4 y}{∂ x^4} - 2 b_1 \frac{∂ y}{∂ t}"
-        r" + 2 b_2 \frac{∂^3 y}{∂ t ∂ x^2} + \frac{L}{M_S} w(x) F",
-        r"β_k = \frac{k π}{L}",
-        r"f_k = k f_0 \sqrt{1 + B k^2}",
-        r"f_0 = \frac{c}{2 L}",
-        r"B = \frac{κ^2 π^2}{c^2 L^2}",
-        r"α_k = b_1 + b_2 β_k^2",
-    ),
+STRING = (
+    r"\frac{∂^2 y}{∂ t^2} = c^2 \frac{∂^2 y}{∂ x^2} - κ^2 \frac{∂^4 y}{∂ x^4} - 2 b_1 \frac{∂ y}{∂ t}"
+    r" + 2 b_2 \frac{∂^3 y}{∂ t ∂ x^2} + \frac{L}{M_S} w(x) F",
+    r"β_k = \frac{k π}{L}",
+    r"f_k = k f_0 \sqrt{1 + B k^2}",
+    r"f_0 = \frac{c}{2 L}",
+    r"B = \frac{κ^2 π^2}{c^2 L^2}",
+    r"α_k = b_1 + b_2 β_k^2",
 )
-HAMMER = Equation("Hammer", (r"M_H \ddot{y}_H = -F", r"\dot{y}_H(0) = v_{H0}", r"u = y_H - ∫ w(x) y \op{d}x"))
+HAMMER = (r"M_H \ddot{y}_H = -F", r"\dot{y}_H(0) = v_{H0}", r"u = y_H - ∫ w(x) y \op{d}x")
 # For a user law without a formula.
 USER_LAW = (r"F = F(u, \dot{u})",)
-PATH = Equation("Output path", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g + a_k",))
-GAIN = Equation("Gain", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g",))
-MODES = Equation("Modes of the key", (r"s(t) = g F(t) ∗ (\op{Re} ∑_m r_m P_m \op{e}^{λ_m t} + h(t))",))
-T60 = Equation("Decay time", (r"T_{60} = \frac{3 \op{ln} 10}{α_k}",))
+PATH = {"Output path": (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g + a_k",)}
+GAIN = {"Gain": (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g",)}
+MODES = {
+    "Modes of the key": (r"s(t) = g F(t) ∗ (\op{Re} ∑_m r_m P_m \op{e}^{λ_m t} + h(t))",),
+    "Decay time": (r"T_{60} = \frac{3 \op{ln} 10}{α_k}",),
+}
 
 # Symbol -> meaning and unit of all symbols that are not parameters.
 VARIABLES = {
@@ -97,14 +77,14 @@ def equations(fit: Fit, felt: tuple[str, ...]) -> dict[str, list]:
 
     Returns
     -------
-    `lines`: (name, formulas as HTML). `symbols`: a list of `Symbol`, first those of the equations in their order.
+    `lines`: (name, formulas as HTML). `symbols`: (symbol, meaning, unit), first those of the equations in their order.
     """
-    law = Equation(f"Felt: {fit.felt}", felt or USER_LAW)
     has_modes = fit.modal_response is not None and fit.modal_response.response is not None
-    lines = [STRING, HAMMER, law, PATH if fit.pickup.path else GAIN, *([MODES, T60] if has_modes else [])]
+    lines = {"String": STRING, "Hammer": HAMMER, f"Felt: {fit.felt}": felt or USER_LAW}
+    lines |= (PATH if fit.pickup.path else GAIN) | (MODES if has_modes else {})
     return {
-        "lines": [(line.name, [_set(formula) for formula in line.formulas]) for line in lines],
-        "symbols": _table(fit, lines, law),
+        "lines": [(name, [_set(formula) for formula in formulas]) for name, formulas in lines.items()],
+        "symbols": _table(fit, lines),
     }
 
 
@@ -116,19 +96,18 @@ def _set(formula: str) -> str:
         return f'<span class="formula">{escape(formula)}</span>'
 
 
-def _table(fit: Fit, lines: list[Equation], law: Equation) -> list[Symbol]:
+def _table(fit: Fit, lines: dict[str, tuple[str, ...]]) -> list[tuple[str, str, str]]:
     """Return the symbols of the equations, then those of the tables that no equation has."""
     common = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
     common |= {symbol: (common[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
     common |= VARIABLES
     tables = _table_symbols(fit)
-    user_defined = {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
+    of_law = common | {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
     rows = []
-    for line in lines:
-        meanings = common | user_defined if line is law else common
-        rows += [(s, *meanings[s]) for formula in line.formulas for s in symbols(formula) if s in meanings]
-    unique = dict.fromkeys((symbol, meaning, format_unit(unit)) for symbol, meaning, unit in rows + tables)
-    return [Symbol(*row) for row in unique]
+    for name, formulas in lines.items():
+        meanings = of_law if name.startswith("Felt: ") else common
+        rows += [(s, *meanings[s]) for formula in formulas for s in symbols(formula) if s in meanings]
+    return [*dict.fromkeys((symbol, meaning, format_unit(unit)) for symbol, meaning, unit in rows + tables)]
 
 
 def _table_symbols(fit: Fit) -> list[tuple[str, str, str]]:

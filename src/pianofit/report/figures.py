@@ -38,21 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "attack_waves",
-    "draw_attack",
-    "draw_attacks",
-    "draw_contact",
-    "draw_force",
-    "draw_levels",
-    "draw_loop",
-    "draw_partials",
-    "draw_reference_levels",
-    "draw_spectra",
-    "draw_spectrum",
-    "spectrum_db",
-]
-
 ATTACK_S = 0.03
 # Damping of the spectra, 1/s. The peaks are narrow enough to separate partials and wide enough to be visible.
 SPECTRUM_SIGMA = 8.0

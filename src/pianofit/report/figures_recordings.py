@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from ..result.cross_validation import LeftOutRecording
 
-__all__ = ["draw_left_out", "draw_paths", "draw_recordings"]
-
 MOST_UPRIGHT = 6  # with more labels, they are rotated
 LEFT_OUT = {  # attribute -> label, marker style
     "predicted_db": ("prediction by a fit of the others", {"marker": "o", "color": FITTED, "ms": 8}),

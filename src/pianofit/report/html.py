@@ -26,8 +26,6 @@ from .drawing import COLOURS
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["asset", "data_uri", "page_bytes", "picture", "templates", "write_page"]
-
 KIT = "pianofit.report"
 # A heading with an id, for the table of contents.
 HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')

@@ -30,16 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "correlations",
-    "draw_correlations",
-    "draw_identifiability",
-    "felt_scale",
-    "half_widths",
-    "identifiability_sections",
-    "is_scale_open",
-]
-
 DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
 CONDITIONAL = "Determined only if the model and its output path are correct"
 UNDETERMINED = "Not determined by the data"

@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Spectrograms",
-    "decay_rows",
-    "draw_envelope",
-    "draw_envelopes",
-    "draw_spectrograms",
-    "envelopes_of",
-    "modal_response_line",
-    "modal_response_text",
-    "spectrograms_of",
-]
-
 LABELS: dict[RenderModel, str] = {
     "string model": "string model alone",
     "modes": "modes",
@@ -165,17 +153,11 @@ def draw_envelope(axes: Axes, envelope: Envelope) -> None:
 # --- spectrograms -----------------------------------------------------------------------------------------------------
 
 
-class Spectrograms(NamedTuple):
-    """Levels of reference recording and fitted note over time and frequency."""
+def spectrograms_of(result: Result) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the spectrograms of the reference recording and of its fitted sound.
 
-    time: np.ndarray  # s from the onset [frames]
-    frequency: np.ndarray  # centre of the mel bands, Hz [bands]
-    measured: np.ndarray  # dB [bands, frames], with a lower limit
-    fitted: np.ndarray
-
-
-def spectrograms_of(result: Result) -> Spectrograms:
-    """Return the spectrograms of the reference recording and of its fitted sound."""
+    They are times, s from the onset [frames], centres of mel bands, Hz [bands], and both levels, dB [bands, frames].
+    """
     reference = result.reference
     recording = reference.recording
     n = 2 * round(WINDOW_SECONDS * recording.rate / 2)
@@ -187,8 +169,8 @@ def spectrograms_of(result: Result) -> Spectrograms:
     # At least one frame, also of a very short recording.
     frames = time <= max(min(ENVELOPE_SECONDS, time[-1] - WINDOW_SECONDS), 0.0)
     floor = max(float(measured[frames].max()), 1e-30) * 10 ** (-AUDIBLE_RANGE_DB / 10)
-    db = (10 * np.log10(power[frames] + floor).T for power in (measured, fitted))
-    return Spectrograms(time[frames], mel_edges(n, MEL_BANDS, recording.rate)[1:-1], *db)
+    recorded, played = (10 * np.log10(power[frames] + floor).T for power in (measured, fitted))
+    return time[frames], mel_edges(n, MEL_BANDS, recording.rate)[1:-1], recorded, played
 
 
 def draw_spectrograms(result: Result) -> list[Figure]:
@@ -197,25 +179,26 @@ def draw_spectrograms(result: Result) -> list[Figure]:
 
     levels = LinearSegmentedColormap.from_list("level", SHADES)
     signs = LinearSegmentedColormap.from_list("difference", [INITIAL, "#ffffff", FITTED])
-    it = spectrograms_of(result)
-    limits = span(it.measured)
-    difference = (-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
+    time, frequency, measured, fitted = spectrograms_of(result)
+    limits, difference = span(measured), (-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
     return [
-        _draw_map(it, it.measured, "recorded", levels, limits, "level (dB)"),
-        _draw_map(it, it.fitted, "fitted note", levels, limits, "level (dB)"),
-        _draw_map(it, it.fitted - it.measured, "fitted minus recorded", signs, difference, "difference (dB)"),
+        _draw_map(time, frequency, measured, "recorded", levels, limits, "level (dB)"),
+        _draw_map(time, frequency, fitted, "fitted note", levels, limits, "level (dB)"),
+        _draw_map(time, frequency, fitted - measured, "fitted minus recorded", signs, difference, "difference (dB)"),
     ]
 
 
-def _draw_map(it: Spectrograms, db: np.ndarray, title: str, colours, limits: tuple[float, float], label: str) -> Figure:
+def _draw_map(
+    time: np.ndarray, frequency: np.ndarray, db: np.ndarray, title: str, colours: Any, limits: Any, label: str
+) -> Figure:
     """Draw levels [bands, frames] as an image, with its colour scale below."""
     figure, (axes,) = panel(HEIGHT, legend_rows=2)
-    bands, end = np.arange(len(it.frequency)), max(span(it.time)[1], 1e-3)
+    bands, end = np.arange(len(frequency)), max(span(time)[1], 1e-3)
     extent = (0.0, end, -0.5, len(bands) - 0.5)
     style: dict[str, Any] = {"aspect": "auto", "origin": "lower", "interpolation": "nearest"}
     image = axes.imshow(db, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, **style)
-    ticks = [tick for tick in TICKS if it.frequency[0] <= tick <= it.frequency[-1]]
-    axes.set_yticks(np.interp(ticks, it.frequency, bands), [f"{tick:g}" for tick in ticks])
+    ticks = [tick for tick in TICKS if frequency[0] <= tick <= frequency[-1]]
+    axes.set_yticks(np.interp(ticks, frequency, bands), [f"{tick:g}" for tick in ticks])
     axes.set(title=title, xlabel="time from the onset (s)", ylabel="frequency (Hz)")
     axes.grid(visible=False)
     box, height = axes.get_position(), figure.get_figheight()

@@ -6,16 +6,17 @@ The player reads its sounds from the download links, so that each sound is in th
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..felt import LAWS, law_of
-from ..io.files import json_text
+from ..io.files import json_text, printable
 from ..io.number_format import number
 from ..parameters import PARAMETERS
 from ..result import Result
@@ -35,8 +36,6 @@ from .static_law import draw_felt
 if TYPE_CHECKING:
     from ..result.cross_validation import CrossValidation
 
-__all__ = ["Strokes", "draw_figures", "report_bytes", "strokes_of"]
-
 # Length of the sounds of the reference recording in stereo, s; in mono it is `SECONDS`.
 STEREO_SECONDS = 5.0
 # Samples of the sounds of all other recordings together: 2 MB.
@@ -49,12 +48,12 @@ STROKE_SECONDS = 2.5
 SMALLEST_RANGE, DEFAULT_RANGE = 1.3, 2.0
 
 
-def report_bytes(result: Result, title: str, held_out: CrossValidation | None = None) -> bytes:
+def report_bytes(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
     """Return the page.
 
     Parameters
     ----------
-    title : plain text, such as the name of the file and the note.
+    title : plain text; names of the recordings and the note of the reference recording if None.
     held_out : result of `cross_validate` for the same recordings, to be added to the page.
 
     Raises
@@ -70,7 +69,7 @@ def report_bytes(result: Result, title: str, held_out: CrossValidation | None = 
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
-        title=title,
+        title=title or ", ".join(filter(None, (*(printable(row.file) for row in fit.recordings), fit.reference.note))),
         contents=True,
         fit=fit,
         text=text,
@@ -83,7 +82,7 @@ def report_bytes(result: Result, title: str, held_out: CrossValidation | None = 
         clips=_clips(result),
         modal_response=fit.modal_response and modal_response_text(fit.modal_response),
         decays=decay_rows(result),
-        strokes=_slider(strokes_of(result)),
+        strokes=_slider(result),
         players=_players(result),
         held_out=held_out,
         figures={name: picture(panels) for name, panels in figures.items()},
@@ -159,21 +158,12 @@ def _clips(result: Result) -> list[Clip]:
     return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds)
 
 
-class Strokes(NamedTuple):
-    """The fitted note at several velocities, all with one gain."""
-
-    velocity: np.ndarray  # [strokes], m/s, rising
-    sounds: tuple[np.ndarray, ...]  # each [samples], full scale = 1
-    rate: int  # Hz
-    first: int  # initial position of the slider
-    is_recorded_range: bool  # all lie within the velocities of the recordings
-
-
-def strokes_of(result: Result) -> Strokes | None:
-    """Return the note of the reference recording at several velocities; None if fewer than two can be rendered.
+def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
+    """Return sounds of the reference recording's note by velocity, m/s, and whether these are within the recordings.
 
     The range is from the softest to the loudest recording, or from half to twice the velocity of a single one. The
-    sounds are means of the channels and begin `pre_onset_s` before the contact.
+    sounds are means of the channels and begin `pre_onset_s` before the contact. Velocities that cannot be rendered are
+    left out.
     """
     velocities = [row.v_H0 for row in result.fit.recordings]
     low, high = min(velocities), max(velocities)
@@ -181,29 +171,23 @@ def strokes_of(result: Result) -> Strokes | None:
     if not is_recorded_range:
         middle, bounds = np.sqrt(low * high), PARAMETERS["v_H0"]
         low, high = max(middle / DEFAULT_RANGE, bounds.lower), min(middle * DEFAULT_RANGE, bounds.upper)
-    note, rate = result.note, result.recording.rate
-    sounds = {}
-    for velocity in np.geomspace(low, high, STROKES):
-        try:
-            onset = round(note.pre_onset_s * rate)
-            stroke = note.with_velocity(float(velocity))
-            sounds[float(velocity)] = stroke.render_stroke(rate, int(STROKE_SECONDS * rate), onset)[0]
-        except (FitError, ParameterError):  # a contact that does not end cannot be rendered
-            continue
-    if len(sounds) < 2:
-        return None
-    rendered = np.array([*sounds])
-    first = int(np.abs(np.log(rendered / note.hammer.v_H0)).argmin())
-    return Strokes(rendered, tuple(sounds.values()), rate, first, is_recorded_range)
+    note, rate, sounds = result.note, result.recording.rate, {}
+    for velocity in np.geomspace(low, high, STROKES).tolist():
+        with suppress(FitError, ParameterError):  # a contact that does not end cannot be rendered
+            stroke, onset = note.with_velocity(velocity), round(note.pre_onset_s * rate)
+            sounds[velocity] = stroke.render_stroke(rate, int(STROKE_SECONDS * rate), onset)[0]
+    return sounds, is_recorded_range
 
 
-def _slider(strokes: Strokes | None) -> dict[str, Any] | None:
-    """Return the sounds of the velocity slider, which keep their differences in loudness."""
-    if strokes is None:
+def _slider(result: Result) -> dict[str, Any] | None:
+    """Return the velocity slider: sounds with one gain, and its initial position; None without two sounds."""
+    strokes, is_recorded_range = strokes_of(result)
+    if len(strokes) < 2:
         return None
-    sounds = {f"{number(v, 3)} m/s": x for v, x in zip(strokes.velocity.tolist(), strokes.sounds, strict=True)}
-    clips = make_clips(sounds, strokes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
-    return {"clips": clips, "first": strokes.first, "is_recorded_range": strokes.is_recorded_range}
+    sounds = {f"{number(velocity, 3)} m/s": samples for velocity, samples in strokes.items()}
+    clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
+    first = int(np.abs(np.log(np.array([*strokes]) / result.note.hammer.v_H0)).argmin())
+    return {"clips": clips, "first": first, "is_recorded_range": is_recorded_range}
 
 
 def _players(result: Result) -> list[dict[str, Any]]:

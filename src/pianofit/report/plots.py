@@ -20,8 +20,6 @@ from .static_law import draw_static_law, static_law
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Plots", "drawn_on"]
-
 # Colours of Okabe and Ito, which colour-blind readers can distinguish, in the order of the drawings.
 HUES = (FITTED, INITIAL, LAW, GROUP, "#56b4e9", "#e69f00")
 FAINT_ALPHA = 0.45  # of measured curves, to distinguish them from fitted curves of the same hue

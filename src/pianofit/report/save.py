@@ -20,8 +20,6 @@ from .page import report_bytes
 if TYPE_CHECKING:
     from ..result.cross_validation import CrossValidation
 
-__all__ = ["save", "stroke_names", "write_page"]
-
 # Largest sound that is copied, bytes.
 LARGEST_SOUND = 2**30
 
@@ -39,7 +37,7 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     result = result.with_recordings() if page else result
     _check_inputs(result, folder, earlier)
     with output_folder(folder, force):
-        report = _page(result) if page else None
+        report = report_bytes(result) if page else None
         files = _sounds(result) if result.recordings else _copied(result)
         fit = replace(result.fit, draws=None)
         if result.draws is not None:
@@ -80,16 +78,9 @@ def write_page(result: Result, path: Path, title: str | None, held_out: CrossVal
     Raises `OutputError` if it cannot be written, and `FitError` if the fit was loaded from a file and a recording is
     missing.
     """
-    result = result.with_recordings()
     path = path / "report.html" if path.is_dir() else path
-    replace_file(path, _page(result, title, held_out))
+    replace_file(path, report_bytes(result, title, held_out))
     return path
-
-
-def _page(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
-    """Return the page. Its title has the names of the recordings, and the note if one was given, unless it is given."""
-    names = ", ".join(printable(Path(fitted.recording.path).name) for fitted in result.recordings)
-    return report_bytes(result, title or ", ".join(filter(None, (names, result.analysis.note))), held_out)
 
 
 def stroke_names(stems: Sequence[str]) -> list[str]:

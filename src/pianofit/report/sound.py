@@ -17,8 +17,6 @@ import numpy as np
 from ..io.files import PEAK_LIMIT, encode_pcm
 from .html import data_uri
 
-__all__ = ["LIGHT_RATE", "Clip", "excerpt", "k_weighted_mean_square", "make_clips", "seconds_each"]
-
 SECONDS = 8.0  # of each sound; three mono sounds at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s, before the onset
 FADE = 0.05  # s, at the end, because many recordings are cut off

@@ -38,19 +38,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "StaticLaw",
-    "compared_laws",
-    "draw_compared_laws",
-    "draw_felt",
-    "draw_static_law",
-    "largest_compression",
-    "shared_covariance",
-    "static_law",
-]
-
 # Points of the law, and of the loop of a stroke: more than a picture resolves.
 LAW_POINTS, LOOP_POINTS = 48, 400
+SMALLEST_REACH = 1e-12  # m, of a law, also without contact
 LARGEST_EXPONENT = 300.0  # so that exp does not overflow
 LARGEST_BAND = 1e6  # factor up to which the band of a law is drawn
 # A conditional variance below this share of the marginal variance is rounding error.
@@ -86,7 +76,8 @@ class StaticLaw:
 def static_law(result: Result, reach: float | None = None) -> StaticLaw:
     """Return the static law with its band, up to the compression `reach`, m; that of the strokes if None."""
     hammer = result.note.hammer
-    u = (largest_compression(result) if reach is None else reach) * np.linspace(0.0, 1.0, LAW_POINTS + 1)[1:]
+    reach = max(largest_compression(result) if reach is None else reach, SMALLEST_REACH)
+    u = reach * np.linspace(0.0, 1.0, LAW_POINTS + 1)[1:]
     names, cov = shared_covariance(result)
     cov = cov if result.fit.has_intervals else 0 * cov
 

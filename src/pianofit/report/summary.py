@@ -14,8 +14,6 @@ from ..schema.quantities import Quantities
 from .modal_response import modal_response_line
 from .text import recontact_text
 
-__all__ = ["contact_text", "fit_summary"]
-
 
 def fit_summary(result: Result) -> str:
     """Return statement, quantities with intervals, errors and warnings of a fit, as `pianofit fit` prints them."""

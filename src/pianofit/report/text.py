@@ -14,25 +14,6 @@ from ..io.number_format import number, with_interval
 from ..schema.fit import Criterion, Fit, Recontact
 from ..schema.quantities import Quantity
 
-__all__ = [
-    "BANDS",
-    "NOT_FELT",
-    "SYMBOLS",
-    "VELOCITY_RATIO",
-    "bands",
-    "format_unit",
-    "glide",
-    "groups",
-    "initial_hammer_text",
-    "interval_method_text",
-    "is_power_law",
-    "minima",
-    "notices",
-    "recontact_text",
-    "rows",
-    "summary_tiles",
-]
-
 STATUS = {  # status -> mark, explanation
     "fitted": ("●", "estimated from the recording"),
     "scaled": ("◐", "estimated, but scales with an assumed value"),

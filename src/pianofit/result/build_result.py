@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..analysis import cents_above
-from ..inference.intervals import IntervalResult, parameter_indices
+from ..inference import InferenceResult, IntervalResult
 from ..inference.parametrisation import LOG_ABSENT_LOSS
-from ..inference.pipeline import InferenceResult
 from ..model.note import Note
 from ..schema.decode import convert
 from ..schema.fit import (
@@ -52,7 +51,7 @@ def build_result(fit: InferenceResult) -> Result:
         If an initial or a final contact does not end.
     """
     problem, found = fit.problem, fit.estimate
-    by_minimum = [notes_of(problem, found.minima, which) for which in range(len(found.minima.nll))]
+    by_minimum = [notes_of(fit, which) for which in range(len(found.minima.nll))]
     recordings = compare_recordings(fit, by_minimum[0])
     notes = tuple(
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
@@ -147,7 +146,7 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
 
 def _covariance(fit: InferenceResult) -> Covariance:
     """Covariance of the logarithms of the parameters and velocities, by name."""
-    names = parameter_indices(fit.problem)
+    names = fit.problem.parameter_indices
     return Covariance(tuple(names), fit.posterior.covariance[0][np.ix_([*names.values()], [*names.values()])])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import correlate
@@ -20,13 +20,9 @@ from ..criterion import (
     level_error_db,
     measure,
 )
-from ..inference import optimiser as descents
-from ..inference.derivatives import latent_posterior
+from ..inference import InferenceResult
 from ..inference.observation_tables import scatter_by_number
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.pipeline import InferenceResult
-from ..inference.prescreen import rescan_velocities
-from ..inference.quadratic_surrogate import QuadraticSurrogate
 from ..model.note import Note
 from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES
@@ -34,7 +30,6 @@ from ..recording.onset import find_onset
 from ..recording.recording import Recording
 from ..schema.fit import BandValue, Criterion, LevelErrors
 from .fitted_recording import FittedRecording, RenderedFit
-from .notes import latent_means
 
 __all__ = [
     "RecordingComparison",
@@ -58,10 +53,6 @@ ATTACK_SECONDS, LEAD_SECONDS = 0.15, 0.05
 NOISE_SECONDS = 0.02
 # s of the attack that is aligned with a calibrated recording.
 ALIGNED_SECONDS = 0.05
-# At most this many steps of the initial hammer's descent. It stops when F gains less than this, a tenth of a dB.
-DESCENT_STEPS, DESCENT_GAIN = 25, 0.1
-# Level of a hammer whose contact does not end, dB.
-SILENT_DB = -300.0
 
 
 def worse_bands(criterion: Criterion) -> list[str]:
@@ -197,13 +188,12 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     FitError
         If an initial or a final contact does not end.
     """
-    problem, descent, columns = fit.problem, fit.estimate.minima.optimiser, fit.problem.observed.number
-    integrated = latent_means(fit.estimate.minima, 0)
+    problem, columns, integrated = fit.problem, fit.problem.observed.number, fit.latent(0)
     start = fit.initial_theta.copy()
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
-    initial = descent.level(start[None])[0]
-    fitted = np.asarray(descent.table.value) - integrated.residual
-    reference_hammer = None if problem.calibrated else fit_reference_hammer(fit)
+    initial = fit.level(start)
+    fitted = np.asarray(problem.observed.level.value) - integrated.residual
+    reference_hammer = None if problem.calibrated else fit.reference_hammer_level
     compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
@@ -228,31 +218,6 @@ def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
     u, problem = fit.problem.parametrisation, fit.problem
     hammer = u.hammer(z, problem.structure.stroke[i])
     return Note(u.string(z), hammer, u.geometry_at(z), problem.initial_values.quantity, 1.0, None)
-
-
-def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
-    """Levels of the initial hammer at its best velocities, gain and output path, dB [R, K].
-
-    A free strike position is fitted too. So the remaining difference to the fitted hammer is due to mass and felt.
-    """
-    problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
-    hammer = np.arange(u.size) < u.shared
-    hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
-    with_hammer = replace(u, mean=np.where(hammer, fit.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
-    descent = descents.Optimiser(replace(problem, parametrisation=with_hammer), z[:STRING_SIZE], descents.LEVELS)
-    phi, offset = fit.estimate.minima.candidates.level.phi[:1], descent.discretisation_error_db(z[None])[0]
-    surrogates = [QuadraticSurrogate.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
-    starts = np.concatenate(
-        rescan_velocities(descent, with_hammer.project(np.stack([fit.initial_theta, z])), surrogates, offset)
-    )
-    candidates = descent.minimise(descent.initialise(starts, [phi], offset=offset), 0.0, DESCENT_STEPS, DESCENT_GAIN)
-    if not len(candidates):
-        return np.full(descent.table.value.shape, SILENT_DB)
-    best = candidates.level
-    return (
-        np.asarray(descent.table.value)
-        - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).residual
-    )
 
 
 # --- alignment of a simulated attack with a recorded one --------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
 from ..errors import FitError, ParameterError, check_type
-from ..inference.pipeline import run_inference
+from ..inference import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
 from ..progress import Progress, progress_bar

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FitError
-from ..inference.intervals import Observations
+from ..inference import ObservedValues
 from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..schema.fit import DrawsFile
@@ -53,7 +53,7 @@ class Draws(Mapping[str, np.ndarray]):
     invariants: tuple[str, ...] = ()  # names of `entries` that are not parameters
     # Log density of each observation given all others, by kind [chains, draws, observations].
     log_likelihood: dict[str, np.ndarray] = field(default_factory=dict)
-    observed: dict[str, Observations] = field(default_factory=dict)
+    observed: dict[str, ObservedValues] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.entries[name]
@@ -76,21 +76,22 @@ class Draws(Mapping[str, np.ndarray]):
         OutputError
             If ArviZ is not installed.
         """
-        arviz = require_optional("arviz", "draws for ArviZ")
-        observed, constant, coords, dims = {}, {}, {}, {}
+        arviz = require_optional("arviz_base", "draws for ArviZ")
+        groups: dict[str, dict[str, np.ndarray]] = {
+            # A name in a tree of xarray must not contain a slash.
+            "posterior": {name.replace("/", " over "): values for name, values in self.entries.items()}
+        }
+        coords, dims = {}, {}
         for kind, data in self.observed.items():
             if not len(data.value):
                 continue
-            dimension = f"{kind}_observation"
-            coords[dimension] = np.arange(len(data.value))
             columns = {kind: data.value, f"{kind}_recording": data.recording, f"{kind}_partial": data.partial}
-            dims |= {name: [dimension] for name in columns}
-            observed[kind] = columns.pop(kind)
-            constant |= columns
-        groups = {"observed_data": observed, "constant_data": constant, "coords": coords, "dims": dims}
-        if observed:
-            groups["log_likelihood"] = {kind: self.log_likelihood[kind] for kind in observed}
-        return arviz.from_dict(posterior=self.entries, **(groups if observed else {}))
+            coords[f"{kind}_observation"] = np.arange(len(data.value))
+            dims |= {name: [f"{kind}_observation"] for name in columns}
+            groups.setdefault("observed_data", {})[kind] = columns.pop(kind)
+            groups.setdefault("log_likelihood", {})[kind] = self.log_likelihood[kind]
+            groups.setdefault("constant_data", {}).update(columns)
+        return arviz.from_dict(groups, coords=coords, dims=dims)
 
 
 def encode_draws(draws: Draws) -> bytes:
@@ -136,10 +137,10 @@ def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Container[str])
     shapes = {array.shape for array in values.values()}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or not math.prod(shape):
         raise ValueError("the draws of all parameters must be [chains, draws] of one shape")
-    columns = {column: tables.pop(column, {}) for column in Observations._fields}
+    columns = {column: tables.pop(column, {}) for column in ObservedValues._fields}
     if tables or any(column.keys() != likelihood.keys() for column in columns.values()):
         raise ValueError("every likelihood needs its observations, and no other array is allowed")
-    observed = {kind: Observations(**{name: column[kind] for name, column in columns.items()}) for kind in likelihood}
+    observed = {kind: ObservedValues(**{name: column[kind] for name, column in columns.items()}) for kind in likelihood}
     for kind, data in observed.items():
         if likelihood[kind].shape != (*shape, *data.value.shape) or len({(*x.shape, 1)[:2] for x in data}) != 1:
             raise ValueError(f"{kind} must have one likelihood for each draw and observation")

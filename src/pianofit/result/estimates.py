@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from ..inference.laplace import Posterior
+from ..inference import InferenceResult, Interval, Posterior
 from ..inference.parametrisation import LOG_ABSENT_LOSS
-from ..inference.pipeline import InferenceResult
 from ..parameters import FIT_NAMES
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
 from .records import sizes
@@ -19,46 +17,16 @@ from .statuses import invariant_status, scaled_parameters, unidentifiable_parame
 
 __all__ = ["invariants", "parameters", "stroke_velocities"]
 
-# Logarithm of the largest number that can be written.
-LARGEST_LOG = 700.0
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
-
-
-class Interval(NamedTuple):
-    """A 95 % interval."""
-
-    low: float
-    high: float
-    method: str
-    unbounded: tuple[str, ...] = ()
-
-
-def _laplace_interval(
-    posterior: Posterior, direction: np.ndarray, value: float, box: tuple[float, float] = (-np.inf, np.inf)
-) -> Interval | None:
-    """Interval of exp(direction · log θ) about the value shown, clipped to `box` (logarithms); None if it is fixed."""
-    interval = posterior.interval(direction)
-    if interval is None:
-        return None
-    ends = np.clip(np.add(interval, np.log(value) - float(posterior.mean[0] @ direction)), *box)
-    low, high = np.exp(np.minimum(ends, LARGEST_LOG)).tolist()
-    unbounded = [side for side, end, edge in zip(("low", "high"), ends, box, strict=True) if end == edge]
-    return Interval(low, high, "laplace", tuple(unbounded))
-
-
-def _other_interval(fit: InferenceResult, name: str) -> Interval | None:
-    """Interval of a parameter by the method that was asked for, if it is not Laplace's approximation."""
-    entry = fit.alternative_interval(name)
-    return Interval(*entry["interval"], entry["interval_by"], tuple(entry["interval_open"])) if entry else None
 
 
 def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
     """The quantity with an interval; unchanged without one."""
     if interval is None:
         return quantity
-    low, high, method, unbounded = interval
-    return replace(quantity, interval=(low, high), interval_method=method, interval_unbounded=unbounded)
+    ends, unbounded = (interval.low, interval.high), interval.unbounded
+    return replace(quantity, interval=ends, interval_method=interval.method, interval_unbounded=unbounded)
 
 
 def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
@@ -73,9 +41,10 @@ def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
         quantity = Quantity(
             "v_H0", value, UNITS["v_H0"], None, status, meaning_of("v_H0"), note, float(np.exp(fit.initial_theta[at]))
         )
-        table.append(_with_interval(quantity, _laplace_interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))))
-    reference = problem.reference_velocity_index - u.shared
-    table[reference] = _with_interval(table[reference], _other_interval(fit, "v_H0"))
+        interval = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
+        if at == problem.reference_velocity_index:
+            interval = fit.alternative_interval("v_H0") or interval
+        table.append(_with_interval(quantity, interval))
     return table
 
 
@@ -97,9 +66,9 @@ def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Qua
             note = "effective width: a raised cosine of this width acts like the unknown contact window"
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
-        interval = _other_interval(fit, name) or _laplace_interval(fit.posterior, np.eye(u.size)[i], value, u.range(i))
+        interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
         quantity = Quantity(name, value, unit, None, states[name], meaning, note, float(start.initial[name]))
-        table[name] = _with_interval(quantity, interval)
+        table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
     last = len(PARAMETER_ORDER)
     order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
     return Quantities.of([*(table[name] for name in order), *sizes(start)])
@@ -137,19 +106,20 @@ def _combined(
     """A product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
     status = invariant_status(factors, posterior.sd(direction))
     quantity = Quantity(name, value, unit, None, status, meaning_of(name), note)
-    return _with_interval(quantity, _laplace_interval(posterior, direction, value))
+    return _with_interval(quantity, posterior.value_interval(direction, value))
 
 
 def _ratio(
     fit: InferenceResult, states: Mapping[str, Status], name: str, of: str, divisor: float, unit: str = "1"
 ) -> Quantity:
     """The parameter `of` over a fixed size, with the interval by the other method if there is one."""
-    at, other = fit.problem.parametrisation.index_of(of), _other_interval(fit, of)
+    at, other = fit.problem.parametrisation.index_of(of), fit.alternative_interval(of)
     value = float(np.exp(fit.posterior.mean[0, at])) / divisor
     direction = np.eye(fit.problem.parametrisation.size)[at]
     quantity = _combined(name, fit.gauge_fixed, direction, value, unit, [states[of]])
-    scaled = None if other is None else other._replace(low=other.low / divisor, high=other.high / divisor)
-    return _with_interval(quantity, scaled)
+    if other is None:
+        return quantity
+    return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
 
 
 def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..inference.batched_model import DB
-from ..inference.derivatives import LatentPosterior, latent_posterior
+from ..inference import FitProblem, InferenceResult, Minima
+from ..inference.batched_model import DB, string_law
+from ..inference.derivatives import LatentPosterior
 from ..inference.likelihood import ObservationTable, variance
-from ..inference.observation_tables import scatter_by_number, string_law
+from ..inference.observation_tables import scatter_by_number
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.problem import FitProblem
-from ..inference.refine import Minima
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 
-__all__ = ["UNINFORMATIVE_ERROR", "latent_means", "notes_of", "smooth_random_walk", "stroke_deviations"]
+__all__ = ["UNINFORMATIVE_ERROR", "notes_of", "smooth_random_walk", "stroke_deviations"]
 
 # Grid of standard deviations, relative (0.1 to 9 dB), for the walk over an e-fold of velocity and for the scatter of a
 # stroke. The prior is uniform in the logarithm.
@@ -29,16 +28,10 @@ GRID = np.geomspace(0.01, 1.0, 9)
 UNINFORMATIVE_ERROR = 1e3
 
 
-def latent_means(minima: Minima, which: int) -> LatentPosterior:
-    """Posterior means of the latent variables that F integrates out, at one minimum."""
-    level = minima.candidates.level
-    return latent_posterior(minima.optimiser.table, level.residual[which], level.phi[which], level.w[which])
-
-
-def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
+def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
+    problem, minima, latent = fit.problem, fit.estimate.minima, fit.latent(which)
     u, z, group = problem.parametrisation, minima.candidates.theta[which], problem.structure.group
-    latent = latent_means(minima, which)
     paths = [
         _path(problem, minima, which, index, latent) if problem.path else None
         for index in range(problem.structure.groups)

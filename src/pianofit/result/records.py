@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..felt import law_of
-from ..inference.initial_values import InitialValues
+from ..inference import InitialValues
 from ..schema.fit import Derived, GlideWindow, PartialLevels, PathEntry, Pickup, Recontact, RecordingFit
 from ..schema.quantities import UNITS, Quantity, Status, meaning_of
 from .fitted_recording import FittedRecording

@@ -262,12 +262,13 @@ class Result:
         return self.parameters.to_dataframe()
 
     def to_arviz(self) -> Any:
-        """The posterior draws as ArviZ inference data.
+        """The posterior draws as a tree of ArviZ 1.x (an `xarray.DataTree`).
 
-        The group "posterior" has the parameters, the velocities of all strokes and the invariants. "observed_data" has
-        levels and bounds of censored partials, dB, and frequencies (cents) and decay rates (logarithms) relative to the
-        string model. "constant_data" has the recording and the partial of each observation. "log_likelihood" has the
-        log density of each observation given all others, for ArviZ's `loo` and `compare`.
+        The group "posterior" has the parameters, the velocities of all strokes and the invariants, "M_H over M_S" for
+        M_H/M_S. "observed_data" has levels and bounds of censored partials, dB, and frequencies (cents) and decay rates
+        (logarithms) relative to the string model. "constant_data" has the recording and the partial of each
+        observation. "log_likelihood" has the log density of each observation given all others, for ArviZ's `loo` and
+        `compare`.
 
         Raises
         ------

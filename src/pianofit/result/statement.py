@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..inference.pipeline import InferenceResult
+from ..inference import InferenceResult
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..schema.fit import LevelErrors
 from ..schema.quantities import Status

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference import InferenceResult
 from ..inference.parametrisation import STRING_SIZE
-from ..inference.pipeline import InferenceResult
 from ..schema.quantities import Status
 
 __all__ = [

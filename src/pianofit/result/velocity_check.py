@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis import Analysis
-from ..inference.pipeline import InferenceResult
-from ..inference.problem import FitProblem
+from ..inference import FitProblem, InferenceResult
 from ..io.files import printable
 from .statuses import PIANIST_VELOCITY_RATIO
 

@@ -9,9 +9,7 @@ import numpy as np
 
 from ..analysis import Analysis, beating_warning, count_beating
 from ..conversions import BEATING_DB
-from ..inference import priors
-from ..inference.pipeline import InferenceResult
-from ..inference.problem import FitProblem
+from ..inference import FitProblem, InferenceResult, priors
 from ..io.files import printable
 from ..recording.recording import Recording
 from ..schema.quantities import Status, unit_of

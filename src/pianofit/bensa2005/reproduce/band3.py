@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from ...inference.initial_values import starting_values
+from ...inference import starting_values
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ..annealing import anneal
 from ..descent import DescentResult, LeastSquares, gradient_descent

@@ -14,7 +14,7 @@ from scipy.signal import find_peaks
 
 from ...literature import preset
 from ...model import Simulation, simulate
-from ...report.build import spectrum_db
+from ...report.figures import spectrum_db
 from .strokes import centroid
 
 __all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strike"]

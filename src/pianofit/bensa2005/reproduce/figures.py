@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...report.build import spectrum_db
+from ...report.figures import spectrum_db
 from ...report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
 from .band3 import WITHIN
 from .claims import SPANS, SYMBOLS

@@ -24,8 +24,7 @@ import numpy as np
 from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, SpectralCells, band_of, band_values, damping_for, measure
 from ...errors import ParameterError
-from ...inference import run_inference
-from ...inference.initial_values import starting_values
+from ...inference import run_inference, starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ...recording.recording import Recording, recording_from_samples

@@ -1,0 +1,289 @@
+"""From recordings to the posterior: fit of the string, search, refinement of every minimum, Laplace's approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..analysis import Analysis
+from ..errors import FitError, ParameterError
+from ..progress import Progress
+from ..recording.recording import Recording
+from ..setup import Setup
+from ..threads import one_blas_thread
+from .derivatives import LatentPosterior, latent_posterior
+from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
+from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
+from .objective import Candidates, Objective, QuadraticSurrogate
+from .optimiser import Options, minimise, predicted_decrease
+from .parametrisation import STRING_SIZE
+from .problem import FitProblem, build_problem
+from .profile import profiles
+
+# Maximum number of steps of the string's optimisation, and the decrease of F at which it ends. Strings of clean
+# recordings are determined to 1e-8.
+STRING_STEPS, STRING_GAIN = 40, 1e-6
+# Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
+SAME = 1.0
+# Minima whose F is higher by more than this have no posterior weight: exp(-6) is a quarter of a percent.
+WITHIN = 6.0
+# A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
+NEARLY = 1.0
+# Maximum number of minima that are refined.
+MOST = 6
+# A refinement ends when the discretisation error at its end differs from the one that it used by less than this
+# fraction of the levels' standard deviations, rms,
+LEFT = 0.05
+# or after so many rounds,
+TURNS = 4
+# of so many steps.
+ITERATIONS = 25
+# At most this many steps of the initial hammer. They end when F falls by less than this, a tenth of a dB.
+REFERENCE_STEPS, REFERENCE_GAIN = 25, 0.1
+# Level of a hammer whose contact does not end, dB.
+SILENT_DB = -300.0
+METHODS = ("laplace", "profile", "posterior")
+
+
+@dataclass(frozen=True)
+class InferenceResult:
+    """The problem, its estimate, and intervals by a method other than Laplace's approximation."""
+
+    problem: FitProblem
+    estimate: Estimate
+    seed: int
+    alternative: IntervalResult | None = None
+
+    @property
+    def posterior(self) -> Posterior:
+        """Posterior by Laplace's approximation at all minima."""
+        return self.estimate.posterior
+
+    @cached_property
+    def initial_theta(self) -> np.ndarray:
+        """Initial θ of the hammer's search, with the fitted string [size]."""
+        return initial_point(self.problem, self.estimate.theta[:STRING_SIZE])
+
+    @cached_property
+    def gauge_fixed(self) -> Posterior:
+        """The posterior, gauge-fixed at the reference velocity if only the prior sets the scale of the velocities."""
+        if not self.problem.velocity_scale_free:
+            return self.posterior
+        return self.posterior.condition_on(
+            np.eye(self.problem.parametrisation.size)[self.problem.reference_velocity_index]
+        )
+
+    @property
+    def excess(self) -> float:
+        """Excess standard deviation of the levels, dB."""
+        return float(np.exp(self.estimate.minima.candidates.level.phi[0, 0]))
+
+    def alternative_interval(self, name: str) -> Interval | None:
+        """Interval of a parameter by the other method, if there is one."""
+        return None if self.alternative is None else self.alternative.intervals.get(name)
+
+    def level(self, theta: np.ndarray) -> np.ndarray:
+        """Levels of the model at `theta` [size], dB [R, K]."""
+        return Objective.complete(self.problem).level_model.level_jacobians(theta[None])[0][0]
+
+    def latent(self, minimum: int) -> LatentPosterior:
+        """Posterior means of what F integrates out of the levels, at one minimum: paths, columns and residuals."""
+        level = self.estimate.minima.candidates.level
+        table = self.problem.observed.level
+        return latent_posterior(table, level.residual[minimum], level.phi[minimum], level.w[minimum])
+
+    @cached_property
+    def reference_hammer_level(self) -> np.ndarray:
+        """Levels of the initial hammer at its best velocities, gain and output path, dB [R, K].
+
+        A free strike position is fitted too. So the remaining difference to the fitted hammer is due to mass and felt.
+        """
+        u, theta = self.problem.parametrisation, self.estimate.theta
+        hammer = np.arange(u.size) < u.shared
+        hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
+        fixed = replace(u, mean=np.where(hammer, self.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
+        objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), theta[:STRING_SIZE])
+        table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]
+        offset = objective.level_model.discretisation_error_db(theta[None])[0]
+        surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
+        hammers = fixed.project(np.stack([self.initial_theta, theta]))
+        starts = np.concatenate(rank_hammers(objective, hammers, FINE_VELOCITIES, surrogates, offset))
+        starts = objective.start(starts, [phi], offset=offset)
+        candidates = minimise(objective, starts, Options(REFERENCE_STEPS, REFERENCE_GAIN))
+        if not len(candidates):
+            return np.full(table.value.shape, SILENT_DB)
+        best = candidates.level
+        return np.asarray(table.value) - latent_posterior(table, best.residual[0], best.phi[0], best.w[0]).residual
+
+
+@one_blas_thread()
+def run_inference(
+    recordings: Sequence[Recording],
+    analyses: Sequence[Analysis],
+    setup: Setup | None = None,
+    *,
+    velocity: float | None = None,
+    intervals: str = "laplace",
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+) -> InferenceResult:
+    """Infer string and hammer from recordings of one key; the arguments are those of `fit`, which documents them.
+
+    Raises `ParameterError` for an unknown method of intervals. Raises `FitError` if a recording is given twice, is of
+    another key or contains only noise, or if no hammer gives a finite sound.
+    """
+    check_intervals(intervals)
+    problem = build_problem(recordings, analyses, setup or Setup(), velocity)
+    estimate = map_estimate(problem, seed, progress)
+    return InferenceResult(problem, estimate, seed, compute_intervals(problem, estimate, intervals, seed, progress))
+
+
+def check_intervals(method: str, recipe: str = "default") -> None:
+    """Reject an unknown method, a recipe without intervals, and a sampler that is not installed.
+
+    Raises
+    ------
+    ParameterError
+        Naming the argument and its value.
+    """
+    if method not in METHODS:
+        raise ParameterError(f"intervals={method!r} must be one of {', '.join(METHODS)}")
+    if method != METHODS[0] and recipe != "default":
+        raise ParameterError(f"intervals={method!r} requires the default recipe; recipe={recipe!r} has no intervals")
+    if method == "posterior":
+        from .nuts import check_sampler
+
+        check_sampler()
+
+
+def compute_intervals(
+    problem: FitProblem, estimate: Estimate, method: str, seed: int, progress: Progress
+) -> IntervalResult | None:
+    """Intervals by the `method` asked for; None for Laplace's approximation, which every estimate contains."""
+    if method == "profile":
+        progress("profiles", 0.9)
+        return profiles(problem, estimate)
+    if method == "posterior":
+        from .nuts import sample_posterior
+
+        progress("posterior", 0.9)
+        return sample_posterior(problem, estimate, seed)
+    return None
+
+
+def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda *_: None) -> Estimate:
+    """Search F, and describe the posterior at its minima.
+
+    Raises
+    ------
+    FitError
+        If no hammer gives a finite sound.
+    """
+    progress("string", 0.05)
+    string = fit_string(problem)
+    progress("hammer", 0.15)
+    levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
+    candidates = multistart(levels, seed, initial_point(problem, string.theta[0, :STRING_SIZE]), progress)
+    progress("string and hammer", 0.75)
+    minima = refine_minima(complete, candidates, levels.total(candidates), string)
+    progress("intervals", 0.88)
+    strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
+    return Estimate(*_deduplicate(minima, laplace(complete, minima)), strokes)
+
+
+def fit_string(problem: FitProblem) -> Candidates:
+    """Fit c, κ, b1 and b2 to frequencies, decays and the prior alone, before any hammer is known."""
+    objective = Objective.of_string(problem)
+    phi = [np.asarray(term.table.prior[0]) for term in objective.terms]
+    start = objective.start(problem.parametrisation.mean[None], phi)
+    return minimise(objective, start, Options(STRING_STEPS, STRING_GAIN))
+
+
+def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
+    """θ of the setup's initial values, and of the prior means for all others [size]."""
+    u, start = problem.parametrisation, problem.initial_values
+    logs = u.log_values(u.mean)
+    for i, name in enumerate(u.names):
+        if u.free[i]:
+            logs[i] = np.log(start.initial[name])
+    theta = u.from_log_values(logs)
+    theta[:STRING_SIZE] = string
+    reference = problem.reference_velocity_index
+    if u.free[reference]:
+        theta[reference] = np.log(start.initial["v_H0"])
+    return u.project(theta)
+
+
+def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates) -> Minima:
+    """Refine every distinct minimum near the lowest on the complete F.
+
+    Parameters
+    ----------
+    candidates, scores : minima with a fixed string, and their F.
+    string : the string's own minimum.
+
+    Raises `FitError` if no contact ends.
+    """
+    u = objective.problem.parametrisation
+    near = candidates.take(np.array(deduplicate(candidates, u, scores, WITHIN)[:MOST]))
+    minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w)
+    # Two distinct starts can end in the same minimum: it counts once.
+    return minima.take(np.array(deduplicate(minima.candidates, u, minima.nll, WITHIN)))
+
+
+def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
+    """Minimise F and correct each candidate's discretisation error in turn; drop those whose contact does not end.
+
+    Parameters
+    ----------
+    theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [4] and [R, K].
+
+    Raises
+    ------
+    FitError
+        If no contact ends.
+    """
+    table, model = objective.problem.observed.level, objective.level_model
+
+    def minimised(theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Candidates:
+        """Minimise each with the discretisation error at its start."""
+        starts = objective.start(theta, phi, w, model.discretisation_error_db(theta))
+        return minimise(objective, starts, Options(ITERATIONS))
+
+    candidates = minimised(theta, phi, w)
+    if not len(candidates):
+        raise FitError(NO_HAMMER)
+    for _ in range(TURNS - 1):
+        sd = np.sqrt(table.variance + np.exp(2 * candidates.level.phi[:, :1, None]))
+        change = (model.discretisation_error_db(candidates.theta) - candidates.offset) / sd
+        rms = np.sqrt((change**2 * table.detected).sum(axis=(1, 2)) / max(table.detected.sum(), 1))
+        active = np.flatnonzero(rms >= LEFT)
+        if not len(active):
+            break
+        some = candidates.take(active)
+        candidates = candidates.put(active, minimised(some.theta, some.phi, some.w))
+    left = np.minimum(candidates.last_decrease, predicted_decrease(objective, candidates))
+    return Minima(candidates, objective.total(candidates), left < NEARLY)
+
+
+def _deduplicate(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:
+    """Remove minima within the width of a lower one, whose Gaussian contains them; sort by posterior weight.
+
+    The lowest minimum need not have the largest weight, because a narrow one holds little of the posterior. In the
+    treble, narrow minima are lobes of the pulse's spectrum. There a few levels can agree to a tenth of a dB at a wrong
+    velocity.
+    """
+    sd = np.sqrt(np.maximum(np.einsum("bii->bi", posterior.covariance), 0.0))
+    kept: list[int] = []
+    for i in np.argsort(minima.nll, kind="stable"):
+        distances = [
+            (np.abs(posterior.mean[i] - posterior.mean[j]) / np.where(sd[j] > 0, sd[j], np.inf)).max() for j in kept
+        ]
+        if min(distances, default=np.inf) > SAME:
+            kept.append(int(i))
+    order = np.array(kept)[np.argsort(-posterior.weight[kept], kind="stable")]
+    weight = posterior.weight[order] / posterior.weight[order].sum()
+    return minima.take(order), Posterior(posterior.mean[order], posterior.covariance[order], weight)
