@@ -25,7 +25,7 @@ from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..schema.fit import Fit, read_fit
-from ..schema.instrument import FitSummary, Layer, PartialDecay
+from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..schema.quantities import Quantity
 from .key_quantities import LAW_QUANTITIES, reference_compression
@@ -210,10 +210,10 @@ def _layers(fit: Fit, scale: float) -> tuple[Layer, ...]:
     return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 
-def partial_decays(response: ModalResponse) -> tuple[PartialDecay, ...]:
+def partial_decays(response: ModalResponse) -> tuple[PartialEntry, ...]:
     """Return the split of the two beating modes, cents, and the ratio of late to early T60 of the lowest partials."""
     return tuple(
-        PartialDecay(
+        PartialEntry(
             partial.number,
             _finite(partial.late / partial.early),
             _finite(1200 * math.log2(1 + partial.beat_frequency / partial.frequency)),
