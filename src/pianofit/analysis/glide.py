@@ -25,9 +25,6 @@ _REFERENCE = 1  # index of the window that defines f0
 # A glide is detected if the pitch changes by more than both.
 _SIGNIFICANT = 4.0  # standard errors
 LEAST_GLIDE = 0.1  # cents
-# Relative error of a glide. One window does not determine τ. With more, the weighting within a window limits it.
-_ERROR_ONE_WINDOW = 0.3
-_ERROR_SEVERAL_WINDOWS = 0.01
 
 Window = tuple[float, float, float, float]  # start s, stop s, cents, standard error in cents
 
@@ -107,9 +104,9 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
         if np.abs(cents).max() >= error:
             break
         best, error, total = fitted, float(np.abs(cents).max()), total + cents
-    size = max(abs(row[2]) for row in windows)
-    error = max(error, (_ERROR_ONE_WINDOW if len(windows) == 2 else _ERROR_SEVERAL_WINDOWS) * size)
-    return best, _fit_glide(spans, total), error
+    # Relative error: one window does not determine τ. With more, the weighting within a window limits it.
+    relative = 0.3 if len(windows) == 2 else 0.01
+    return best, _fit_glide(spans, total), max(error, relative * max(abs(row[2]) for row in windows))
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ class DecayLaw:
         return self.b1 + self.d2 * np.asarray(k, float) ** 2
 
 
-def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
+def law_frequency(f0: float | np.ndarray, B: float | np.ndarray, k: np.ndarray | float) -> np.ndarray:
     """Frequencies k f0 √(1 + B k²) of partials `k`, Hz."""
     k = np.asarray(k, float)
     return k * f0 * np.sqrt(1 + B * k**2)

@@ -93,14 +93,9 @@ def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np
 def _exclude_distortion(
     spec: Spectrum, first: float, B: float, candidates: np.ndarray, top: float
 ) -> tuple[Spectrum, float, float]:
-    """The peaks that are not distortion, with f0 (Hz) and B of the string. B changes if another explains clearly more.
+    """The peaks that are not distortion, with f0 (Hz) and B of the string.
 
-    Parameters
-    ----------
-    first : frequency of the first partial, Hz
-    B : inharmonicity fitted without regard to distortion
-    candidates : values to compare with it [candidates]
-    top : highest frequency searched for partials, Hz
+    B was fitted without regard to distortion. It changes if one of the `candidates` explains clearly more.
     """
     tried = [B, *candidates.tolist()]
     height, distortion = zip(*(_explained(spec, first, x, top) for x in tried), strict=True)

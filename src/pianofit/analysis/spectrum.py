@@ -11,11 +11,6 @@ from ..dsp.bands import fast_length
 __all__ = ["Spectrum", "noise_between", "spectrum"]
 
 _BETA = 10.0  # side lobes 75 dB down
-_SHARPEST = 18.0  # side lobes 135 dB down: in a long recording below any noise between the partials
-_FOOT = 0.25  # half width of a peak at its foot, in spacings of the partials, for the noise between them
-_SPAN = 160.0  # Hz, width over which the floor of a spectrum is computed
-_FLOOR = -200.0  # dB, lower bound of spectral levels
-_CAP = 60.0  # dB, upper bound of a peak's prominence
 
 
 @dataclass(frozen=True)
@@ -55,9 +50,9 @@ def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:
     part = samples[: max(64, int(seconds * rate))]
     power, step = _density(part, rate, 4)
     level = 10 * np.log10(power + 1e-40)
-    level = np.maximum(level, max(_FLOOR, float(level.max()) - 140.0))
+    level = np.maximum(level, max(-200.0, float(level.max()) - 140.0))
     # Maxima of noise rarely reach 10 dB above the 30 % quantile.
-    prominence = np.clip(level - _floor(level, step, max(_SPAN, 40 * step)) - 10.0, 0.0, _CAP)
+    prominence = np.clip(level - _floor(level, step, max(160.0, 40 * step)) - 10.0, 0.0, 60.0)
     at = find_peaks(level)[0]
     at = at[prominence[at] > 0]
     left, middle, right = level[at - 1], level[at], level[at + 1]
@@ -77,8 +72,9 @@ def noise_between(
     after the onset to the end.
     """
     part = samples[min(int(start * rate), len(samples) // 2) :]
-    reach = np.pi * _FOOT * spacing * len(part) / rate
-    power, step = _density(part, rate, 1, float(np.clip(reach, _BETA, _SHARPEST)))
+    # The foot of a peak is a quarter of a spacing wide. Side lobes 135 dB down are below any noise.
+    reach = np.pi * 0.25 * spacing * len(part) / rate
+    power, step = _density(part, rate, 1, float(np.clip(reach, _BETA, 18.0)))
     frequency = np.arange(len(power)) * step
     place = np.searchsorted(expected, frequency)
     padded = np.concatenate([[-np.inf], expected, [np.inf]])

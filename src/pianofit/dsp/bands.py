@@ -144,7 +144,7 @@ def _demodulate(
     weight: np.ndarray,
     count: int,
     turn: complex = 0j,
-) -> np.ndarray:
+) -> NDArray[np.complex128]:
     """Signals [..., count] of the weighted bins `middle + offset` of half spectra, times their size over `count`.
 
     `turn` is the phase for each bin of `offset`, rad times j. It moves the first frame from 0 s to another time.
@@ -154,4 +154,4 @@ def _demodulate(
     slices = np.where(inside, spectrum[..., np.clip(index, 0, spectrum.shape[-1] - 1)], 0) * weight
     wrapped = np.zeros((*slices.shape[:-1], count), complex)
     wrapped[..., offset % count] = slices * np.exp(turn * offset)
-    return np.fft.ifft(wrapped, axis=-1)
+    return np.asarray(np.fft.ifft(wrapped, axis=-1), complex)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["Signals", "fit_amplitudes", "poles_by_subspace", "refine_poles", "shift_poles", "standard_errors"]
 
@@ -52,10 +53,10 @@ class Signals(NamedTuple):
         return (self.weight > 0).sum(axis=-1)
 
 
-def shift_poles(subspace: np.ndarray, step: float) -> np.ndarray:
+def shift_poles(subspace: np.ndarray, step: float) -> NDArray[np.complex128]:
     """Poles, 1/s [..., modes], of the signal subspaces [..., rows, modes] of Hankel matrices with this step, s."""
     shift = np.linalg.pinv(subspace[..., :-1, :]) @ subspace[..., 1:, :]
-    return np.log(np.linalg.eigvals(shift)) / step
+    return np.asarray(np.log(np.linalg.eigvals(shift)) / step, complex)
 
 
 def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int], lift: float) -> dict[int, np.ndarray]:

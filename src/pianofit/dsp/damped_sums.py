@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["AMPLITUDE_FLOOR", "powers", "sum_damped_modes", "z_transform_at_poles"]
 
@@ -20,7 +21,7 @@ BLOCKS_PER_CHECK = 32
 LARGEST_BLOCK = 512
 
 
-def powers(log_z: np.ndarray, count: int) -> np.ndarray:
+def powers(log_z: np.ndarray, count: int) -> NDArray[np.complex128]:
     """Compute z^n, n < count, complex [..., count], from log z [...].
 
     Each step doubles the number of powers. So there are log2(count) exponentials and roundings per row.

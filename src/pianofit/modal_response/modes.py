@@ -122,13 +122,10 @@ def _fit(
     pitch: np.ndarray,
     first: PartialModes | None = None,
 ) -> PartialModes | None:
-    """Modes of one partial in all layers; None if no layer exceeds its noise.
+    """Modes of one partial (number, frequency and spacing, Hz) in all layers; None if no layer exceeds its noise.
 
-    Parameters
-    ----------
-    partial : number, frequency and spacing, Hz.
-    first : modes of the first pass, which are removed from `spectrum` with those of all other partials. The first pass
-        itself takes one or three modes from the subspace without refinement.
+    The modes of the `first` pass have been removed from `spectrum` with those of all other partials. The first pass
+    itself takes one or three modes from the subspace without refinement.
     """
     number, frequency, spacing = partial
     count = layers.samples.shape[-1]

@@ -39,15 +39,12 @@ LEAST_DRIVE = 0.003
 FLOOR = 0.002
 # Largest difference between a layer's onset and its contact, s.
 LARGEST_DELAY = 0.025
-# Step of the delay search, s: a tenth of a period of the highest partials.
-DELAY_STEP = 4e-6
 # Weight of the attack's correlation relative to the phases of partials.
 ATTACK_WEIGHT = 1.5
 # Penalty of the largest delay on the same scale: onsets are mostly right.
 DELAY_PENALTY = 0.5
-# Weight of a layer's partials in levels and delays. It rises from 0 to 1 between these signal-to-noise ratios, dB. It
-# grows with this power of the partial's amplitude in the layer, approximately as loudness does.
-SNR_RAMP = 10.0, 30.0
+# The weight of a layer's partials in levels and delays grows with this power of the partial's amplitude in the layer,
+# approximately as loudness does.
 LOUDNESS = 0.3
 # Length of the attacks that are correlated, s.
 ATTACK_SECONDS = 0.08
@@ -70,7 +67,8 @@ def estimate_shared_response(
     strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
     drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
     size = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
-    weight = np.stack([np.interp(m.snr, SNR_RAMP, (0, 1)) for m in modes]) * size**LOUDNESS
+    # The weight of a partial rises from 0 to 1 between signal-to-noise ratios of 10 and 30 dB.
+    weight = np.stack([np.interp(m.snr, (10.0, 30.0), (0, 1)) for m in modes]) * size**LOUDNESS
     delay = _delays(layers, modes, drive, weight)
     at_contact = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]
     patterns = _patterns(modes, at_contact, drive, weight)
@@ -117,54 +115,34 @@ def _velocity_gain(
 ) -> VelocityGain | None:
     """Velocity gain from amplitudes over drives; None with one velocity, which the pattern describes completely.
 
-    The error of a partial's amplitude has two parts: the noise of its band, and interfering sound at `FLOOR` below the
-    layer's loudest partial, as in the likelihood.
+    The level of a partial and the shares of its modes vary by one or two decibels beyond the force. Both are random
+    walks over the logarithm of the velocity. Where the strokes do not determine a walk, it stays at its mean.
     """
-    if len(np.unique(velocity)) == 1:
-        return None
     order = np.argsort(velocity, kind="stable")
+    velocity, first = velocity[order], np.unique(velocity[order], return_index=True)[1]
+    if len(first) == 1:
+        return None
+    # Errors: the noise of the band, and interfering sound at `FLOOR` below the layer's loudest partial.
     noise = 10 ** (-np.stack([m.snr for m in modes]) / 20)
     with np.errstate(divide="ignore", invalid="ignore"):  # a partial without amplitude gets an infinite error
-        error = np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)
-    distinct, first = np.unique(velocity[order], return_index=True)
-    factor = _stroke_factors([a[order] for a in per_drive], patterns, error.T[order], velocity[order])
-    return VelocityGain(distinct, factor[first])
-
-
-def _stroke_factors(
-    observed: Sequence[np.ndarray], pattern: Sequence[np.ndarray], error: np.ndarray, velocity: np.ndarray
-) -> np.ndarray:
-    """Factors on the modes' patterns for every stroke, complex [strokes, modes of all partials].
-
-    The amplitude of a mode divided by the force spectrum is not constant for a key. The level of a partial and the
-    shares of its modes vary with velocity by one or two decibels. Both are random walks over the logarithm of the
-    velocity (`smooth_random_walk`). Where the strokes do not determine a walk, it stays at its mean.
-
-    Parameters
-    ----------
-    observed : for each partial, the amplitudes of every stroke over its force, complex [strokes, channels, modes].
-    pattern : for each partial, the common pattern, complex [channels, modes].
-    error : relative standard error of the amplitudes' real and imaginary parts [strokes, partials].
-    velocity : of the strokes, m/s, rising.
-    """
+        error = (np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)).T[order]
+    error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
     level, deviation, share = [], [], []
-    for own, common in zip(observed, pattern, strict=True):
-        size, common_size = np.linalg.norm(own, axis=(1, 2)), np.linalg.norm(common)
+    for amplitude, common in zip(per_drive, patterns, strict=True):
+        own = amplitude[order]
+        norm, common_norm = np.linalg.norm(own, axis=(1, 2)), np.linalg.norm(common)
         turn = np.exp(-1j * np.angle((own * common.conj()).sum(axis=(1, 2))))
         power = np.linalg.norm(common, axis=0)
         projected = (own * common.conj()).sum(axis=1) / np.where(power > 0, power, 1.0)
-        share.append(power / common_size)
-        level.append(np.log(np.where(size > 0, size, common_size) / common_size))
-        deviation.append((turn / np.where(size > 0, size, 1.0))[:, None] * projected - share[-1])
-    error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
+        share.append(power / common_norm)
+        level.append(np.log(np.where(norm > 0, norm, common_norm) / common_norm))
+        deviation.append((turn / np.where(norm > 0, norm, 1.0))[:, None] * projected - share[-1])
     levels = smooth_random_walk(np.stack(level, axis=1), error, velocity)
-    modes = np.array([len(x) for x in share])
-    columns = np.concatenate(deviation, axis=1)
+    number, columns, shares = [len(x) for x in share], np.concatenate(deviation, axis=1), np.concatenate(share)
     both = np.concatenate([np.real(columns), np.imag(columns)], axis=1)
-    real, imag = np.split(smooth_random_walk(both, np.tile(np.repeat(error, modes, axis=1), 2), velocity), 2, axis=1)
-    shares = np.concatenate(share)
+    real, imag = np.split(smooth_random_walk(both, np.tile(np.repeat(error, number, axis=1), 2), velocity), 2, axis=1)
     factor = 1 + (real + 1j * imag) / np.where(shares > 0, shares, np.inf)
-    return np.exp(np.repeat(levels, modes, axis=1)) * factor
+    return VelocityGain(velocity[first], (np.exp(np.repeat(levels, number, axis=1)) * factor)[first])
 
 
 def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
@@ -173,7 +151,7 @@ def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: 
     Phases of partials alone are ambiguous by a period. The correlation of the attacks, half whitened (Knapp and Carter
     1976; Donohue et al. 2007), resolves the ambiguity.
     """
-    trial = np.arange(-LARGEST_DELAY, LARGEST_DELAY, DELAY_STEP)
+    trial = np.arange(-LARGEST_DELAY, LARGEST_DELAY, 4e-6)  # a tenth of a period of the highest partials
     turn = ratio[:, layer] * ratio[:, -1].conj()
     turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
     phases = (np.exp(1j * np.outer(trial, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)

@@ -26,24 +26,14 @@ RANGE = 48.0
 LEAST_SNR = 10.0
 # Averaging time of the envelope, s.
 ENVELOPE = 0.06
-# Least number of frames and least duration, s, of a fitted signal, however soon it falls below the noise.
+# Least number of frames of a fitted signal, however soon it falls below the noise.
 FEWEST = 12
-SHORTEST = 0.1
 # Valid frames begin this time, s, after the window has left the onset: the length of the first contact.
 CONTACT = 0.003
 # Valid frames end where the envelope falls below this multiple of the noise amplitude.
 NOISE_MARGIN = 2.0
-# The noise is measured next to the partial in the end of the recording, from this share of its length on. In a short
-# recording it is measured in the last valid frame.
-NOISE_BEGIN = 0.8
-# Ratio of the rms of noise to the median of its magnitude (Rayleigh).
-RMS_OVER_MEDIAN = 1.2
-# The last part of a recording, s, is not used because files are often faded out.
-FADE_OUT = 0.01
 # Least standard deviation in the search for poles, dB relative to the first frame of the signal.
 LEAST_DEVIATION_DB = 40.0
-# Number of first frames whose maximum is the largest value of the band.
-TOP_FRAMES = 3
 
 
 @dataclass(frozen=True)
@@ -66,16 +56,17 @@ def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> Vali
     between : magnitude of the band half a spacing above [layers, channels, frames]. It measures the noise.
     ends : s, of each layer.
     """
-    quiet = [(b.time > min(NOISE_BEGIN * end, end - b.window - b.step)) & (b.time <= end - b.window) for end in ends]
-    noise = (
-        np.stack([np.median(between[i][:, frames], axis=-1) for i, frames in enumerate(quiet)]) * RMS_OVER_MEDIAN + 1e-9
-    )
+    # The noise is measured in the last fifth of each layer, or in the last valid frame of a short one. The rms of noise
+    # is 1.2 times the median of its magnitude (Rayleigh).
+    quiet = [(b.time > min(0.8 * end, end - b.window - b.step)) & (b.time <= end - b.window) for end in ends]
+    noise = np.stack([np.median(between[i][:, frames], axis=-1) for i, frames in enumerate(quiet)]) * 1.2 + 1e-9
     width = max(1, round(ENVELOPE / b.step))
     smooth = np.ones((1, 1, width)) / width
     envelope = np.sqrt(signal.convolve(np.abs(b.z) ** 2, smooth, "same").clip(0))
     first = int(np.ceil((b.window / 2 + CONTACT) / b.step))
-    stop = np.array([int((min(SPAN, end - FADE_OUT) - b.window / 2) / b.step) for end in ends])
-    top = envelope[..., first : first + TOP_FRAMES].max(axis=-1)
+    # Files are often faded out over the last 10 ms.
+    stop = np.array([int((min(SPAN, end - 0.01) - b.window / 2) / b.step) for end in ends])
+    top = envelope[..., first : first + 3].max(axis=-1)
     snr = 20 * np.log10(np.maximum(top, noise * 1e-6) / noise)  # a channel may be silent
     floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
     above_noise = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
@@ -84,7 +75,7 @@ def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> Vali
     frame = np.arange(first, stop.max())
     lost = (envelope[..., frame] < NOISE_MARGIN * floor[..., None]) | (frame >= stop[:, None, None])
     length = np.where(lost.any(axis=-1), lost.argmax(axis=-1), len(frame))
-    length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[above_noise]
+    length = np.maximum(length, max(FEWEST, int(0.1 / b.step)))[above_noise]
     frame = frame[: length.max()]
     # The square root gives equal ratios of time equal weight.
     even = np.sqrt((b.time[frame] + LOG_TIME_START) / (b.time[first] + LOG_TIME_START))

@@ -259,6 +259,8 @@ def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None):
 
 def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:
     """Σ_k Re(A_k z_k^n), n < samples."""
+    samples = max(samples, 0)
     if xp is jnp:
-        return sum_damped_exponentials(amplitude, log_z, max(samples, 0))
-    return sum_damped_modes(log_z, amplitude[None], 1.0, max(samples, 0), np.zeros(len(log_z)))[0]
+        return sum_damped_exponentials(amplitude, log_z, samples)
+    pole, pattern = np.asarray(log_z), np.asarray(amplitude)[None]
+    return sum_damped_modes(pole, pattern, 1.0, samples, np.zeros(len(pole)))[0]

@@ -16,9 +16,6 @@ __all__ = ["check_channel", "count_clipped", "noise_rms", "offset", "opposite_ch
 CHANNELS = ("average", "left", "right", *"12345678")
 CANCELLATION = 4.0  # 6 dB; inverting channels of spaced microphones gains less than 5 dB, of a reversed channel more
 MIN_AVERAGE = 0.01  # of the channels' energy; a weaker average holds only the differences between the channels
-MIN_RUN = 3  # samples; the shortest flat run at an extreme that counts as clipped
-MIN_EXTREME = 0.25  # of the largest sample; a lower extreme is the edge of a one-sided wave
-DITHER_STEPS = 2.5  # steps; triangular dither spreads a clipped top over two, and half a step covers rounding
 MIN_OVERSHOOT = 4.0  # spreads by which the slope extrapolates beyond a clipped top; unclipped notes reach 2.3
 
 
@@ -82,15 +79,15 @@ def count_clipped(used: np.ndarray, onset: int, rate: int, step: float) -> tuple
 def _flat_runs(y: np.ndarray, step: float) -> np.ndarray:
     """Start and stop of the runs in which `y` was clipped at its highest value [runs, 2].
 
-    A later gain moves the highest value to any level, and dither spreads it over two steps. A slow, unclipped wave also
-    stays on its highest quantised value for some samples, but its slope vanishes there. A clipped wave arrives with a
-    slope that extrapolates to many steps beyond the top.
+    A later gain moves the highest value to any level, and dither spreads it over two steps. Half a step covers
+    rounding. A slow, unclipped wave also stays on its highest quantised value for some samples, but its slope vanishes
+    there. A clipped wave arrives with a slope that extrapolates to many steps beyond the top.
     """
-    top, spread = y.max(), DITHER_STEPS * step
-    if top < MIN_EXTREME * np.abs(y).max():
+    top, spread = y.max(), 2.5 * step
+    if top < 0.25 * np.abs(y).max():  # the edge of a one-sided wave
         return np.zeros((0, 2), int)
     runs = np.flatnonzero(np.diff(np.concatenate([[0], (y >= top - spread).astype(np.int8), [0]]))).reshape(-1, 2)
-    runs = runs[runs[:, 1] - runs[:, 0] >= MIN_RUN]
+    runs = runs[runs[:, 1] - runs[:, 0] >= 3]
     if len(runs) == 0:
         return runs
     values = np.unique(y[y > 0.5 * top])
