@@ -39,7 +39,7 @@ from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
-from ..model.x64 import AnyArray
+from ..x64 import AnyArray
 
 __all__ = [
     "INTERFERENCE_DB",

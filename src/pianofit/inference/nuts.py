@@ -15,7 +15,7 @@ import numpy as np
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
 from ..io.table_output import require_optional
-from ..model.x64 import float64, x64_scope
+from ..x64 import float64, x64_scope
 from .batched_model import StaticConfig, thread_pool
 from .density import DensityContext, density_context, log_density, log_likelihood, random_start, reflect_into_bounds
 from .intervals import IntervalResult, Observations, parameter_indices, reported_parameters, unbounded_warnings

@@ -7,7 +7,7 @@ eq. 16) is
     e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion        u_n = e_n - C T_n,   C = a²/M_H + g_0
     w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = F(u_n, w_n)
 
-where F is the felt law (`felt`), a convex function that rises with `u_n`.
+where F is the felt law (`felt.steps`), a convex function that rises with `u_n`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
+from ..felt.steps import compression, force, memory_weights, update_relaxation
 from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
+from ..x64 import AnyArray, derivative, float64
 from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
-from .felt import compression, force, memory_weights, update_relaxation
 from .modes import Modes
-from .x64 import AnyArray, derivative, float64
 
 __all__ = [
     "FreeMotion",

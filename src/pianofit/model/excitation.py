@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from ..x64 import float64
 from .contact import FreeMotion, free_motion
 from .modes import Modes
-from .x64 import float64
 
 __all__ = ["pluck"]
 

@@ -18,10 +18,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
+from ..x64 import AnyArray, float64
 from .contact import FreeMotion, impulse_amplitude
 from .damped_sums import z_transform
 from .modes import Modes
-from .x64 import AnyArray, float64
 
 __all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
 

@@ -24,7 +24,7 @@ from jaxtyping import Array, Complex, Float
 from ..errors import ParameterError
 from ..io.number_format import summary
 from ..parameters import Geometry, String
-from .x64 import AnyArray, derivative, float64
+from ..x64 import AnyArray, derivative, float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 

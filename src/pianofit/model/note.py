@@ -15,14 +15,13 @@ from ..felt import RelaxingHammer
 from ..io.audio import RATES
 from ..io.number_format import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
-from .arguments import is_numeric
+from ..x64 import float64, is_numeric
 from .contact import strike
 from .free_response import level_db, modal_amplitudes
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
 from .output_path import OutputPath, apply_filter, apply_to_modes, impulse_response
 from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
-from .x64 import float64
 
 __all__ = ["MAX_SAMPLES", "MAX_SECONDS", "Note", "arrival", "check_render"]
 

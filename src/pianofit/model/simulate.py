@@ -13,10 +13,10 @@ from ..errors import FitError, ParameterError, check_range
 from ..felt import check_hammer
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check
+from ..x64 import float64
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .free_response import waveform
 from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
-from .x64 import float64
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
 

@@ -16,9 +16,10 @@ from ..analysis import law_frequency
 from ..conversions import HALF_WIDTH_95
 from ..errors import FitError, ParameterError
 from ..felt import law_of
+from ..felt.steps import static_force
 from ..io.files import reference_row
 from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
-from ..model import Simulation, static_force
+from ..model import Simulation
 from ..model.decay import decays_and_beats
 from ..parameters import PARAMETERS
 from ..result import Covariance, Result

@@ -23,9 +23,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...felt import RelaxingHammer
 from ...parameters import Hammer
-from ..x64 import AnyArray, derivative, float64
+from ...x64 import AnyArray, derivative, float64
+from ..relaxing import RelaxingHammer
 
 __all__ = ["Weights", "felt_force", "memory_weights", "update_relaxation", "residual", "root"]
 
