@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import deferred
 from ..errors import ParameterError, check_range, check_type
 from ..felt import RelaxingHammer
 from ..io.audio import RATES
@@ -117,9 +118,7 @@ class Note(NamedTuple):
         ParameterError
             If anywidget is not installed, or a page cannot play this felt law.
         """
-        from ..web.widget import widget
-
-        return widget(self)
+        return deferred.call("web.widget", "widget", self)
 
     def render_stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """Render the sound [samples] in file units, and return its simulation; contact begins at the index `touch`."""

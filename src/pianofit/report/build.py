@@ -38,7 +38,7 @@ from .figure_data import (
 from .identifiability_text import half_interval
 
 if TYPE_CHECKING:
-    from ..result.result import FittedRecording
+    from ..result import FittedRecording
 
 __all__ = [
     "contact_curves", "curves_of", "envelopes_of", "felt_of", "has_intervals", "identifiability_of",

@@ -7,7 +7,8 @@ fit, and `cross_validate` does so for every stroke in turn.
 from __future__ import annotations
 
 from .build_result import build_result
+from .fitted_recording import FittedRecording, RenderedFit
 from .quantities import Covariance, Quantities, Quantity
-from .result import FittedRecording, RenderedFit, Result
+from .result import Result
 
 __all__ = ["Covariance", "FittedRecording", "Quantities", "Quantity", "Result", "RenderedFit", "build_result"]

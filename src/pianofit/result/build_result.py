@@ -17,6 +17,7 @@ from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
 from .draws import Draws
+from .fitted_recording import FittedRecording
 from .identifiability import (
     identifiability_statement,
     invariant_status,
@@ -29,7 +30,7 @@ from .identifiability import (
 )
 from .minima_notes import notes_of
 from .quantities import UNITS, Covariance
-from .result import FittedRecording, Result
+from .result import Result
 from .serialise import (
     no_interval,
     parameter_row,

@@ -30,8 +30,8 @@ from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording.recording import Recording
 from .alignment import align_attack, estimate_contact_onset
+from .fitted_recording import FittedRecording, RenderedFit
 from .minima_notes import latent_means
-from .result import FittedRecording, RenderedFit
 
 __all__ = ["RecordingComparison", "compare_recordings", "audible_partials", "pool_level_errors", "worse_bands"]
 

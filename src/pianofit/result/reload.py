@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,10 @@ from ..parameters import STRING_NAMES, String, check
 from ..recording.recording import Recording, Source, to_recording
 from ..threads import one_blas_thread
 from .comparison import RecordingComparison
-from .result import FittedRecording, Result
+from .fitted_recording import FittedRecording
+
+if TYPE_CHECKING:
+    from .result import Result
 
 __all__ = ["every_note", "initial_note", "stored_levels", "reload_recordings"]
 

@@ -4,86 +4,29 @@ from __future__ import annotations
 
 import copy
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ..analysis import Analysis, Partials
+from .. import deferred
+from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import FeltLaw
 from ..fit_file import fit_path, notes_of_minima, read_fit, relative_gains
 from ..io.files import printable, reference_row
 from ..io.number_format import counted
-from ..model import Simulation
-from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..recording.recording import Recording, Source
 from .draws import DRAWS_FILE, Draws, read_draws
+from .fitted_recording import FittedRecording, RenderedFit
 from .quantities import Covariance, Quantities
 
-__all__ = ["FittedRecording", "Result", "RenderedFit"]
+__all__ = ["Result"]
 
 # Characters of the identifiability statement in a `repr`.
 STATEMENT_LENGTH = 300
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RenderedFit:
-    """The sound of one set of parameters."""
-
-    note: Note
-    samples: np.ndarray  # file units, as long as the recording
-    simulation: Simulation
-    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
-    frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
-
-    def __repr__(self) -> str:
-        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FittedRecording:
-    """One recording and the model's sounds for it."""
-
-    initial: RenderedFit
-    fitted: RenderedFit
-    level: np.ndarray  # measured, dB in the pickup unit [partials]
-    recording: Recording
-    analysis: Analysis
-    criterion: dict
-    levels: dict
-    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
-
-    def __repr__(self) -> str:
-        return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
-
-    @property
-    def final(self) -> RenderedFit:
-        """The fitted sound: with the modal response if the fit has one, else with the string model only."""
-        return self.ringing or self.fitted
-
-    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
-        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
-        fitted, recording = self.fitted, self.recording
-        note = fitted.note._replace(ringing=ringing)
-        contact = recording.onset + round(contact_delay * recording.rate)
-        frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
-        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
-
-    @property
-    def sound(self) -> np.ndarray:
-        """Samples of `as_played` for a file [samples] or [channels, samples]."""
-        frames = self.final.frames
-        return self.final.samples if frames is None or len(frames) == 1 else frames
-
-    @property
-    def partials(self) -> Partials:
-        """The table of partials."""
-        return self.analysis.partials
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,9 +193,7 @@ class Result:
 
         Each takes Axes and a `label`, so that two results can share a figure, and returns the Axes.
         """
-        from ..report.plots import Plots
-
-        return Plots(self)
+        return deferred.call("report.plots", "Plots", self)
 
     # --- export -------------------------------------------------------------------------------------------------------
 
@@ -305,9 +246,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        from ..report.save import save
-
-        return save(self, Path(folder), force=force, page=page)
+        return deferred.call("report.save", "save", self, Path(folder), force=force, page=page)
 
     def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
         """Write the page to `path`, a file, or a folder for `report.html`, and return its path.
@@ -324,9 +263,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        from ..report.save import write_page
-
-        return write_page(self, Path(path), title, held_out)
+        return deferred.call("report.save", "write_page", self, Path(path), title, held_out)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:

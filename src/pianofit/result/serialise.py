@@ -14,8 +14,8 @@ from ..inference.initial_values import InitialValues
 from ..io.files import FIT_SCHEMA
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from .comparison import pool_level_errors
+from .fitted_recording import FittedRecording
 from .quantities import UNITS, Covariance
-from .result import FittedRecording
 
 __all__ = [
     "to_document",

@@ -1,0 +1,70 @@
+"""One recording of a fit, and the model's sounds for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..analysis import Analysis, Partials
+from ..model import Simulation
+from ..model.modal_response import ModalResponse
+from ..model.note import Note
+from ..recording.recording import Recording
+
+__all__ = ["FittedRecording", "RenderedFit"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RenderedFit:
+    """The sound of one set of parameters."""
+
+    note: Note
+    samples: np.ndarray  # file units, as long as the recording
+    simulation: Simulation
+    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
+    frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
+
+    def __repr__(self) -> str:
+        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedRecording:
+    """One recording and the model's sounds for it."""
+
+    initial: RenderedFit
+    fitted: RenderedFit
+    level: np.ndarray  # measured, dB in the pickup unit [partials]
+    recording: Recording
+    analysis: Analysis
+    criterion: dict
+    levels: dict
+    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
+
+    def __repr__(self) -> str:
+        return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
+
+    @property
+    def final(self) -> RenderedFit:
+        """The fitted sound: with the modal response if the fit has one, else with the string model only."""
+        return self.ringing or self.fitted
+
+    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
+        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
+        fitted, recording = self.fitted, self.recording
+        note = fitted.note._replace(ringing=ringing)
+        contact = recording.onset + round(contact_delay * recording.rate)
+        frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
+        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
+
+    @property
+    def sound(self) -> np.ndarray:
+        """Samples of `as_played` for a file [samples] or [channels, samples]."""
+        frames = self.final.frames
+        return self.final.samples if frames is None or len(frames) == 1 else frames
+
+    @property
+    def partials(self) -> Partials:
+        """The table of partials."""
+        return self.analysis.partials
