@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from pianofit.model.decay import PartialDecay
+from pianofit.model.modal_response import PartialDecay
 from pianofit.report.figure_data import (
     Envelope,
     Felt,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from pianofit.model.decay import EARLY, LATE, decays_and_beats
-from pianofit.model.modal_response import ModalResponse, sum_damped_modes
+from pianofit.model.modal_response import EARLY, LATE, ModalResponse, decays_and_beats, sum_damped_modes
 
 LOG = np.log(1e3)  # T60 is this multiple of 1/α
 

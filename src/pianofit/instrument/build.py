@@ -19,7 +19,7 @@ from ..conversions import HALF_WIDTH_95, hertz_of
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..modal_response_file import modal_response_document
-from ..model.decay import decays_and_beats
+from ..model.modal_response import decays_and_beats
 from ..model.note import Note
 from ..model.output_path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String

@@ -5,9 +5,9 @@ in closed form (`free_response`). All is computed in float64 (`pianofit.x64`).
 """
 
 from .contact import Pulse, kernel, strike
-from .excitation import pluck
+from .free_motion import pluck, project
 from .free_response import level_db, levels, mobility, modal_amplitudes, spectrum, waveform
-from .modes import Modes, mode_frequencies, mode_table, project, window_weights
+from .modes import Modes, mode_frequencies, mode_table, window_weights
 from .note import Note
 from .output_path import OutputPath
 from .simulate import Simulation, contact_rate, simulate

@@ -20,7 +20,7 @@ from ..felt.steps import static_force
 from ..io.files import reference_row
 from ..modal_response import AUDIBLE_RANGE_DB, band, kernel_seconds, mel_edges, mel_power
 from ..model import Simulation
-from ..model.decay import decays_and_beats
+from ..model.modal_response import decays_and_beats
 from ..parameters import PARAMETERS
 from ..result import Covariance, Result
 from ..result.reload import initial_note, stored_levels

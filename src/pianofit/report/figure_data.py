@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..model.decay import PartialDecay
+    from ..model.modal_response import PartialDecay
 
 __all__ = [
     "ContactCurves",
