@@ -277,7 +277,7 @@ ROWS = {
 }
 # The interpolated quantities over the MIDI number.
 TABLES: dict[str, list[tuple[float, float]]] = {"strings": STRINGS_PER_KEY} | {
-    name: [(row.midi, getattr(row, name)) for row in rows]
+    name: [(float(row.midi), getattr(row, name)) for row in rows]
     for names, rows in (("length tension B", STRINGS), ("b1 b2", LOSSES), ("M_H K_H p", HAMMERS))
     for name in names.split()
 }

@@ -27,7 +27,7 @@ from ..parameters import HAMMER_NAMES
 from ..x64 import AnyArray, derivative, float64
 from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
 from .free_motion import FreeMotion, free_motion
-from .modes import ComplexModes, Modes, RealModes
+from .modes import ComplexModes, Modes, RealModesLike
 
 __all__ = [
     "PostContactState",
@@ -169,8 +169,8 @@ def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> P
 def strike_moving_string(
     modes: Modes,
     hammer: Any,
-    displacement: RealModes,
-    velocity: RealModes,
+    displacement: RealModesLike,
+    velocity: RealModesLike,
     powers: tuple[AnyArray, AnyArray],
     steps: int,
 ) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:
@@ -222,8 +222,8 @@ def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArr
 
     no = jnp.asarray(False)
     initial = (0, ((advanced.real, advanced.imag), first), no, outputs, under, free.energy, no)
-    *state, _, _, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
-    return *state, over
+    count, carry, separated, outputs, _, _, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
+    return count, carry, separated, outputs, over
 
 
 def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:

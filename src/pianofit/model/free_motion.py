@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ..errors import ParameterError
 from ..io.number_format import summary
-from ..x64 import AnyArray, float64
-from .modes import ComplexModes, Modes, RealModes
+from ..x64 import float64
+from .modes import ComplexModes, Modes, RealModes, RealModesLike
 
 __all__ = ["FreeMotion", "free_motion", "pluck", "project"]
 
@@ -21,8 +21,8 @@ class FreeMotion(NamedTuple):
     """Free motion of a string, q = Re(amplitude · z^n), with its speed and energy."""
 
     amplitude: ComplexModes  # m
-    speed: Float[AnyArray, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
-    energy: Float[AnyArray, ""]  # J
+    speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
+    energy: Float[Array, ""]  # J
 
     def __repr__(self) -> str:
         return summary(self)
@@ -54,7 +54,7 @@ def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> RealMo
 
 
 @float64
-def free_motion(modes: Modes, displacement: RealModes, velocity: RealModes) -> FreeMotion:
+def free_motion(modes: Modes, displacement: RealModesLike, velocity: RealModesLike) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag

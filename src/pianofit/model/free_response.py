@@ -22,7 +22,7 @@ from ..x64 import AnyArray, float64
 from .contact import impulse_amplitude
 from .damped_sums import z_transform
 from .free_motion import FreeMotion
-from .modes import ComplexModes, Modes, RealModes
+from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
 
 __all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
 
@@ -32,18 +32,19 @@ LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
 MAX_EXPONENT = 300.0
 
 # Values at frequencies, and values of the steps of a contact.
-RealBins, ComplexBins = Float[AnyArray, " bins"], Complex[AnyArray, " bins"]
+Frequencies = Float[AnyArray, " bins"]
+ComplexBins = Complex[Array, " bins"]
 Steps = Float[AnyArray, " steps"]
 
 
 @float64
-def damped_circle(frequency: RealBins, sigma: float | AnyArray, step: AnyArray) -> ComplexBins:
+def damped_circle(frequency: Frequencies, sigma: float | AnyArray, step: AnyArray) -> ComplexBins:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
 
 @float64
-def mobility(modes: Modes, zeta: ComplexBins, amplitude: ComplexModes | None = None) -> ComplexBins:
+def mobility(modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: ComplexModesLike | None = None) -> ComplexBins:
     """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or of free motion with modal `amplitude`), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
     return modal_transform(residue, modes.pole * modes.step, jnp.log(zeta))
@@ -64,7 +65,7 @@ def modal_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> A
 
 @float64
 def spectrum(
-    modes: Modes, drive: Steps, frequency: RealBins, sigma: float | AnyArray, free: FreeMotion | None = None
+    modes: Modes, drive: Steps, frequency: Frequencies, sigma: float | AnyArray, free: FreeMotion | None = None
 ) -> ComplexBins:
     """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
 
@@ -117,7 +118,7 @@ def _log_growth(modes: Modes, steps: int) -> Array:
 
 
 @float64
-def levels(modes: Modes, drive: Steps | None = None, *, free: FreeMotion | None = None) -> RealModes:
+def levels(modes: Modes, drive: Steps | None = None, *, free: FreeMotion | None = None) -> RealModesLike:
     """Levels of all partials after the contact, dB re (signal unit)² · s [modes], from pulse, free motion or both.
 
     A level is the energy in the first 0.35 s under exp(-8t), extrapolated to the first contact. Modes without weight
@@ -151,7 +152,7 @@ def levels(modes: Modes, drive: Steps | None = None, *, free: FreeMotion | None 
 
 
 @float64
-def level_db(amplitude: ComplexModes, decay: RealModes, xp=jnp) -> RealModes:
+def level_db(amplitude: ComplexModesLike, decay: RealModesLike, xp=jnp) -> RealModesLike:
     """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
 
     `xp` is the array library: with NumPy nothing is compiled, and the result is an array of NumPy.
@@ -214,7 +215,7 @@ def waveform(
     arrays = (modes.pole, drive, *_pickup_amplitudes(modes, drive, free))
     xp = jnp if any(isinstance(x, Tracer) for x in arrays) else np
     pole, drive, *amplitudes = map(xp.asarray, arrays)
-    unit, amplitude, *release = (x * (xp.abs(pole.imag) < xp.pi * rate) for x in amplitudes)
+    unit, amplitude, *release = (x * (xp.abs(xp.imag(pole)) < xp.pi * rate) for x in amplitudes)
 
     steps, log_z = len(drive), pole / (ratio * rate)
     convolved = xp.fft.rfft(_ring(unit, log_z, steps, xp), 2 * steps) * xp.fft.rfft(drive, 2 * steps)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
 from ..io.number_format import summary
@@ -29,17 +29,21 @@ from ..x64 import AnyArray, derivative, float64
 __all__ = [
     "QUANTITIES",
     "ComplexModes",
+    "ComplexModesLike",
     "Modes",
     "RealModes",
+    "RealModesLike",
     "mode_frequencies",
     "mode_table",
     "raised_cosine_weights",
     "window_weights",
 ]
 
-# One number per mode.
-RealModes = Float[AnyArray, " modes"]
-ComplexModes = Complex[AnyArray, " modes"]
+# One number per mode, in results and in arguments, which may be arrays of NumPy too.
+RealModes = Float[Array, " modes"]
+ComplexModes = Complex[Array, " modes"]
+RealModesLike = Float[AnyArray, " modes"]
+ComplexModesLike = Complex[AnyArray, " modes"]
 
 QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
 
@@ -60,7 +64,7 @@ class Modes(NamedTuple):
     pole: ComplexModes  # p, where z = exp(p δt) is the pole of the scheme, 1/s
     free_rate: ComplexModes  # v = Re(free_rate · C z^n) in free motion, 1/s
     free_pickup: ComplexModes  # the pickup for free motion, without gain correction
-    step: Float[AnyArray, ""]  # δt, s
+    step: Float[Array, ""]  # δt, s
 
     def __repr__(self) -> str:
         return summary(self)
@@ -72,7 +76,7 @@ def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
     return np.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * np.pi)
 
 
-def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> RealModes:
+def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> RealModesLike:
     """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
 
     `xp` is the array library: with NumPy nothing is compiled.
@@ -128,7 +132,7 @@ def mode_table(
     n_modes: int,
     quantity: str = "velocity",
     kind: str = "continuous",
-    strike_weights: RealModes | None = None,
+    strike_weights: RealModesLike | None = None,
 ) -> Modes:
     """Compute the table of modes of a string with its strike and pickup positions, one row per mode.
 

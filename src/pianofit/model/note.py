@@ -46,8 +46,8 @@ class Note(NamedTuple):
     quantity : measured quantity, see `mode_table`.
     gain : file units (full scale = 1) per unit of the pickup.
     path : output path, dB over frequency, in addition to the gain.
-    ringing : measured modes and knock. They render the sound in place of string and path, per unit of gain. `levels`
-        still uses string and path.
+    ringing : measured modes and knock. They render the sound in place of string and path, per unit of gain.
+        `levels` still uses string and path.
 
     Examples
     --------
@@ -132,7 +132,7 @@ class Note(NamedTuple):
         return frames.mean(axis=0) if mono else frames
 
     def play(self) -> Any:
-        """Return a widget that plays the note at any velocity in Jupyter or marimo; needs the extra `widget`.
+        """Return a widget that plays the note at any velocity in Jupyter or marimo; it needs the extra `widget`.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class Note(NamedTuple):
         return self.render_mono(simulation, rate, samples, touch), simulation
 
     def strike(self, rate: float) -> Simulation:
-        """Simulate the stroke, with a contact rate that is a multiple of `rate`, Hz."""
+        """Simulate the stroke, with a contact rate that is a multiple of `rate`, Hz; see `simulate`."""
         return simulate(self.string, self.hammer, self.geometry, rate=rate, quantity=self.quantity)
 
     def render_mono(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
