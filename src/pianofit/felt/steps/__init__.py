@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...x64 import float64
-from .. import FeltLaw, RelaxingHammer, law_of
+from .. import FeltLaw, law_of
 from . import any_law, relaxing
 from .relaxing import memory_weights, update_relaxation
 
@@ -22,7 +22,7 @@ __all__ = ["compression", "felt_force", "force", "memory_weights", "static_force
 
 
 def _solver(hammer: Any) -> Any:
-    """Return the module with `root` and `residual` for the law of a hammer."""
+    """Return the module with `felt_force`, `root` and `residual` for the law of a hammer."""
     return any_law if law_of(hammer).hammers is None else relaxing
 
 
@@ -32,9 +32,7 @@ def felt_force(u: Array | float, w: Array | float, hammer: Any, memory: Any = 0.
 
     For a relaxing felt, c is `memory`, m^p, plus `share` times u^p; see `relaxing`.
     """
-    u = jnp.asarray(u)
-    c = (memory + share * jnp.where(u > 0, u, 1.0) ** hammer.p,) if isinstance(hammer, RelaxingHammer) else ()
-    return any_law.clipped_force(law_of(hammer).force, u, jnp.asarray(w), hammer, *c)
+    return _solver(hammer).felt_force(jnp.asarray(u), jnp.asarray(w), hammer, memory, share)
 
 
 def compression(e, u_old, w_old, f_old, c, a, hammer: Any, weights=None, memory: Any = None):
@@ -46,8 +44,9 @@ def compression(e, u_old, w_old, f_old, c, a, hammer: Any, weights=None, memory:
 
 def force(u, w, upper, c, a, hammer: Any, weights=None, memory: Any = None):
     """F_n from the felt law, or from the displacement of string and hammer, whichever amplifies rounding of u less."""
-    from_law = felt_force(u, w, hammer, *(() if weights is None else (memory, weights.new)))
-    _, slope = _solver(hammer).residual(u, upper, u - a * w, 0.0, c, a, hammer, weights, memory)
+    solver = _solver(hammer)
+    from_law = solver.felt_force(u, w, hammer, *(() if weights is None else (memory, weights.new)))
+    _, slope = solver.residual(u, upper, u - a * w, 0.0, c, a, hammer, weights, memory)
     return jnp.where((from_law > 0) & (slope > 2), (upper - u) / c, from_law)
 
 

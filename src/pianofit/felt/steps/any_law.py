@@ -7,7 +7,6 @@ then lies in [0, upper]. Newton's iterations find it; the bracket is bisected if
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,7 +17,7 @@ from jaxtyping import Array
 from ...errors import ParameterError
 from ...x64 import derivative, float64
 
-__all__ = ["check_passive", "clipped_force", "residual", "root"]
+__all__ = ["check_passive", "felt_force", "residual", "root"]
 
 # Limit of iterations: bisection alone takes some 60 to rounding.
 MAX_ITERATIONS = 200
@@ -29,9 +28,9 @@ TESTED_U = np.geomspace(1e-6, 2e-3, 25)
 TESTED_W = np.array([-5.0, -1.0, -0.2, 0.2, 1.0, 5.0])
 
 
-def clipped_force(force: Callable[..., Array], u: Array, w: Array, hammer: Any, *c: Any) -> Array:
-    """Return the `force` of a felt law, N: 0 without contact, and never below 0."""
-    push = force(jnp.where(u > 0, u, 1.0), w, hammer, *c)
+def felt_force(u: Array, w: Array, hammer: Any, *_: Any) -> Array:
+    """Felt force, N; 0 without contact."""
+    push = hammer.law.force(jnp.where(u > 0, u, 1.0), w, hammer)
     return jnp.where(u > 0, jnp.maximum(push, 0.0), 0.0)
 
 
@@ -41,7 +40,7 @@ def residual(u, *rest):
 
 
 def _residual(u, upper, u_old, w_old, c, a, hammer, *_):
-    return u + c * clipped_force(hammer.law.force, u, (u - u_old) / a - w_old, hammer) - upper
+    return u + c * felt_force(u, (u - u_old) / a - w_old, hammer) - upper
 
 
 @jax.custom_jvp
@@ -90,7 +89,7 @@ def check_passive(hammer: Any) -> None:
     """
     u, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(TESTED_U, TESTED_W))
     stored = jax.vmap(jax.grad(lambda x: jnp.asarray(hammer.law.storage(x, hammer), float)))(u)
-    push = clipped_force(hammer.law.force, u, w, hammer)
+    push = felt_force(u, w, hammer)
     excess = np.asarray((stored - push) * w)
     worst = int(np.argmax(excess))
     if excess[worst] > TOLERANCE * float(abs(push[worst] * w[worst])):

@@ -22,10 +22,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ...parameters import Hammer
 from ...x64 import AnyArray, derivative, float64
 from ..relaxing import RelaxingHammer
 
-__all__ = ["Weights", "memory_weights", "residual", "root", "update_relaxation"]
+__all__ = ["Weights", "felt_force", "memory_weights", "residual", "root", "update_relaxation"]
 
 # Limit of iterations. From the worst start (p = 5) each reduces the error by a fifth until convergence is quadratic.
 MAX_ITERATIONS = 200
@@ -40,6 +41,16 @@ class Weights(NamedTuple):
     kept: Array
     old: Array
     new: Array
+
+
+def felt_force(u: Array, w: Array, hammer: Hammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
+    """Felt force, N; for a relaxing felt, c is `memory`, m^p, plus `share` times u^p."""
+    pressed = jnp.where(u > 0, u, 1.0)
+    if not isinstance(hammer, RelaxingHammer):
+        return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
+    loss = jnp.maximum(1 + hammer.mu * w - hammer.epsilon * share, 0.0)
+    unclipped = hammer.K_H * (pressed**hammer.p * loss - hammer.epsilon * memory)
+    return jnp.where((u > 0) & (unclipped > 0), unclipped, 0.0)
 
 
 @float64
