@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 
 from pianofit import model
 from pianofit.model.free_response import damped_circle
-from pianofit.model.x64 import x64_scope
 from pianofit.parameters import FIT_NAMES, Hammer
+from pianofit.x64 import x64_scope
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))

@@ -14,11 +14,13 @@ from threadpoolctl import threadpool_limits
 
 # Modules that write shapes in their signatures: every call is checked against them. An int is a float too (PEP 484).
 CHECKED = [
+    "pianofit.felt.steps",
     "pianofit.model",
     "pianofit.inference.batched_model",
     "pianofit.inference.likelihood",
     "pianofit.inference.nuts",
     "pianofit.bensa2005.spectral_criterion",
+    "pianofit.x64",
 ]
 install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 

@@ -15,8 +15,9 @@ import scipy.integrate
 import scipy.optimize
 
 from pianofit import model
-from pianofit.model.contact import free_motion, impulse_amplitude
+from pianofit.model.contact import impulse_amplitude
 from pianofit.model.damped_sums import z_transform
+from pianofit.model.free_motion import free_motion
 from pianofit.model.free_response import _log_growth
 from pianofit.parameters import Geometry, Hammer, String
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import hilbert
 
 from pianofit.dsp.damped_sums import sum_damped_modes
-from pianofit.model.decay import EARLY, LATE, decays_and_beats
-from pianofit.model.modal_response import ModalResponse
+from pianofit.model.modal_response import EARLY, LATE, ModalResponse, decays_and_beats
 
 LOG = np.log(1e3)  # T60 is this multiple of 1/α
 

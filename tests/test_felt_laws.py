@@ -17,9 +17,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.felt import ALL_PARAMETERS, LAWS, RelaxingHammer, make_hammer
-from pianofit.model import felt
-from pianofit.model.felt import relaxing
+from pianofit.felt import ALL_PARAMETERS, LAWS, RelaxingHammer, make_hammer, steps
+from pianofit.felt.steps import relaxing
 from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -44,13 +43,13 @@ def hammers(draw):
 
 
 _equation = jax.jit(jax.vmap(relaxing.residual, in_axes=(0, *[None] * 8)))
-_weights = jax.jit(felt.memory_weights)
+_weights = jax.jit(steps.memory_weights)
 
 
 @jax.jit
 def _solved(e, u_old, w_old, f_old, c, a, hammer, weights, memory):
-    u = felt.compression(e, u_old, w_old, f_old, c, a, hammer, weights, memory)
-    return u, felt.force(u, (u - u_old) / a - w_old, e - c * f_old, c, a, hammer, weights, memory)
+    u = steps.compression(e, u_old, w_old, f_old, c, a, hammer, weights, memory)
+    return u, steps.force(u, (u - u_old) / a - w_old, e - c * f_old, c, a, hammer, weights, memory)
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
@@ -228,4 +227,4 @@ def test_each_law_has_the_parameters_that_it_is_said_to_have(name):
     assert set(LAWS[name].parameters) <= set(ALL_PARAMETERS)
     blow, u, w = ("M_H", "v_H0"), jnp.asarray(1e-4), jnp.asarray(0.5)
     assert {n for n, value in hammer._asdict().items() if value and n not in blow} == set(LAWS[name].parameters)
-    assert float(model.felt_force(u, w, hammer, 1e-11)) == pytest.approx(float(law(1e-4, 0.5, 1e-11, hammer)))
+    assert float(steps.felt_force(u, w, hammer, 1e-11)) == pytest.approx(float(law(1e-4, 0.5, 1e-11, hammer)))

@@ -122,7 +122,7 @@ UNDER_SETTINGS = """
 import sys, jax
 import numpy as np
 import pianofit as pf
-from pianofit.model.x64 import x64_scope
+from pianofit.x64 import x64_scope
 settings = dict(jax_numpy_rank_promotion="raise", jax_numpy_dtype_promotion="strict", jax_debug_nans=True,
     jax_debug_infs=True, jax_enable_custom_prng=True, jax_legacy_prng_key="error", jax_default_prng_impl="rbg",
     jax_threefry_partitionable=False)

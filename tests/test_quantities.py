@@ -13,10 +13,10 @@ from instrument_cases import true_note
 import pianofit
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import ParameterError
+from pianofit.io.uncertainty_format import latex_name, latex_unit
 from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
 from pianofit.parameters import Hammer, String
-from pianofit.io.uncertainty_format import latex_name, latex_unit
 
 
 def quantity(value: float, sd: float, **more) -> pianofit.Quantity:

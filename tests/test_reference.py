@@ -25,8 +25,9 @@ from model_cases import HAMMER, STRING
 from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touches
 
 from pianofit import model
-from pianofit.model.contact import free_motion, impulse_amplitude
+from pianofit.model.contact import impulse_amplitude
 from pianofit.model.damped_sums import sum_damped_exponentials
+from pianofit.model.free_motion import free_motion
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")

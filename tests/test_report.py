@@ -38,7 +38,7 @@ from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.errors import OutputError
 from pianofit.io.files import replace_file
 from pianofit.io.number_format import number
-from pianofit.model.decay import PartialDecay
+from pianofit.model.modal_response import PartialDecay
 from pianofit.report.drawing import make_figure, page_style, span
 from pianofit.report.figures import _arrow_positions, draw_partials, draw_spectra
 from pianofit.report.html import asset

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pianofit.model.decay import decays_and_beats
-from pianofit.model.modal_response import ModalResponse
+from pianofit.model.modal_response import ModalResponse, decays_and_beats
 from pianofit.report.modal_response import (
     decay_rows,
     draw_envelopes,

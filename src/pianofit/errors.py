@@ -8,9 +8,17 @@ from numbers import Real
 from typing import Any
 
 __all__ = [
-    "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
-    "WrongNoteError", "check_range", "check_type",
-]  # fmt: skip
+    "AnalysisError",
+    "FitError",
+    "OutputError",
+    "ParameterError",
+    "PianofitError",
+    "RecordingError",
+    "SetupError",
+    "WrongNoteError",
+    "check_range",
+    "check_type",
+]
 
 
 class PianofitError(Exception):

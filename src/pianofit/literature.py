@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +41,7 @@ PICKUP = 0.30  # x_m/L, away from nodes of the first partials; chosen, not publi
 WIDTH = 0.02  # m, full width of the contact window; chosen, not published
 
 
-@dataclass(frozen=True)
-class PublishedString:
+class PublishedString(NamedTuple):
     """Dimensions, density and tension of a string."""
 
     note: str
@@ -52,8 +52,6 @@ class PublishedString:
     density: float  # kg/m³, relative to the core volume; values above 7850 include the mass of the winding
     tension: float  # N
     strike: float  # m
-    source: str = CHABASSIER
-    derivation: str = SECOND_HAND
 
     @property
     def mass(self) -> float:
@@ -70,9 +68,13 @@ class PublishedString:
         """κ = √(E I/(ρ A)), m²/s, with I = π d⁴/64 of the core. A winding adds mass, but almost no stiffness."""
         return self.diameter / 4 * math.sqrt(YOUNG / self.density)
 
+    @property
+    def B(self) -> float:
+        """Inharmonicity κ² π²/(c² L²)."""
+        return (self.kappa * math.pi / (self.c * self.length)) ** 2
 
-@dataclass(frozen=True)
-class PublishedHammer:
+
+class PublishedHammer(NamedTuple):
     """Mass and static felt law F = K_H u^p of a whole hammer, which strikes all strings of its note."""
 
     note: str
@@ -80,22 +82,18 @@ class PublishedHammer:
     M_H: float  # kg
     p: float
     K_H: float  # N/m^p
-    source: str = CHABASSIER
-    derivation: str = SECOND_HAND
 
 
-@dataclass(frozen=True)
-class PublishedLoss:
+class PublishedLoss(NamedTuple):
     """Loss parameters of a string, with decay rates b1 + b2 β²."""
 
     note: str
     midi: int
     b1: float  # 1/s
     b2: float  # m²/s
-    source: str = BENSA_2003
-    derivation: str = SECOND_HAND
 
 
+# After Chabassier (2012), second-hand.
 STRINGS = (
     PublishedString("D#1", 27, 38.98, 1.965, 1.492e-3, 43195.0, 1773.0, 0.236),
     PublishedString("C2", 36, 65.56, 1.602, 1.051e-3, 23919.0, 915.0, 0.192),
@@ -104,6 +102,7 @@ STRINGS = (
     PublishedString("G6", 91, 1571.35, 0.124, 0.860e-3, 7850.0, 689.0, 0.015),
     PublishedString("C7", 96, 2098.32, 0.095, 0.831e-3, 7850.0, 670.0, 0.011),
 )
+# After Chabassier (2012), second-hand.
 HAMMERS = (
     PublishedHammer("C2", 36, 10.20e-3, 2.276, 3.105e8),
     PublishedHammer("C3", 48, 9.45e-3, 2.312, 1.347e9),
@@ -115,12 +114,14 @@ HAMMERS = (
 # Number of strings of a note over the MIDI number, in grand pianos: from one in the low bass to three. A model of one
 # string uses the share of one string in hammer mass and felt force.
 STRINGS_PER_KEY = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
-# Share of one string: half of the mass above at C2, a third at C4 and C7. Only for comparison with the table.
+# After Chaigne and Askenfelt (1994), second-hand. Share of one string: half of the mass above at C2, a third at C4 and
+# C7. Only for comparison with the table.
 CHAIGNE_HAMMERS = (
-    PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
-    PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9, CHAIGNE),
-    PublishedHammer("C7", 96, 2.2e-3, 3.0, 1e11, CHAIGNE),
+    PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8),
+    PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9),
+    PublishedHammer("C7", 96, 2.2e-3, 3.0, 1e11),
 )
+# After Bensa et al. (2003), second-hand.
 LOSSES = (
     PublishedLoss("C2", 36, 0.25, 7.5e-5),
     PublishedLoss("C4", 60, 1.1, 2.7e-4),
@@ -225,12 +226,12 @@ def _typical(midi: float, name: str) -> Preset:
         string=String(c, kappa, at["b1"], at["b2"]),
         hammer=Hammer(at["K_H"] / at["strings"], TYPICAL_MU, at["p"], at["M_H"] / at["strings"], TYPICAL_VELOCITY),
         geometry=_geometry(length, at["tension"] * length / c**2),
-        source=TYPICAL_SOURCE,
+        source=f"strings and hammers {CHABASSIER}; losses: {BENSA_2003}",
         derivation=SECOND_HAND,
         completed="c: 2 L f0 in equal temperament, A4 = 440 Hz; M_H, K_H: one string's share of a hammer that strikes "
         "one string up to D#1, two at C2, three from F3 on; mu: Bensa et al. (2005), Table III; v_H0, width, pickup: "
         "chosen; strike_position: 0.12 of the length, Chaigne and Askenfelt (1994)",
-        interpolated=_interpolated(midi, DERIVED),
+        interpolated=_interpolated(midi),
     )
 
 
@@ -247,14 +248,9 @@ def _midi(note: str | float) -> tuple[float, str]:
     return float(midi), midi_to_note(int(midi)) if whole else f"{midi:g}"
 
 
-def _interpolated(midi: float, derived: dict[str, tuple[str, ...]]) -> dict[str, str]:
-    """Return the neighbouring published rows by field. Fields whose tables all have a row at `midi` are omitted."""
-    fields = {}
-    for name, tables in derived.items():
-        neighbours = dict.fromkeys(filter(None, (_neighbours(midi, ROWS[table]) for table in tables)))
-        if neighbours:
-            fields[name] = "; ".join(neighbours)
-    return fields
+def _interpolated(midi: float) -> dict[str, str]:
+    """Return the neighbouring published rows by field. Fields that have a row at `midi` are omitted."""
+    return {name: place for name, rows in ROWS.items() if (place := _neighbours(midi, rows))}
 
 
 def _neighbours(midi: float, rows: tuple[PublishedString | PublishedHammer | PublishedLoss, ...]) -> str:
@@ -273,35 +269,18 @@ def _geometry(length: float, mass: float, strike: float | None = None) -> Geomet
     return Geometry(length, mass, STRIKE * length if strike is None else strike, width, PICKUP * length)
 
 
-def _inharmonicity(string: PublishedString) -> float:
-    return (string.kappa * math.pi / (string.c * string.length)) ** 2
-
-
-TABLES: dict[str, list[tuple[float, float]]] = {
-    "length": [(s.midi, s.length) for s in STRINGS],
-    "tension": [(s.midi, s.tension) for s in STRINGS],
-    "B": [(s.midi, _inharmonicity(s)) for s in STRINGS],
-    "b1": [(loss.midi, loss.b1) for loss in LOSSES],
-    "b2": [(loss.midi, loss.b2) for loss in LOSSES],
-    "strings": STRINGS_PER_KEY,
-    "M_H": [(h.midi, h.M_H) for h in HAMMERS],
-    "K_H": [(h.midi, h.K_H) for h in HAMMERS],
-    "p": [(h.midi, h.p) for h in HAMMERS],
-}
-
-
-# Published rows of each table, and tables of each field of a typical note.
+# Published rows that each field of a typical note is interpolated between.
 ROWS = {
-    **dict.fromkeys(("length", "tension", "B"), STRINGS),
+    **dict.fromkeys(("c", "kappa", "length", "mass", "strike_position", "pickup"), STRINGS),
     **dict.fromkeys(("b1", "b2"), LOSSES),
-    **dict.fromkeys(("M_H", "K_H", "p"), HAMMERS),
+    **dict.fromkeys(("K_H", "p", "M_H"), HAMMERS),
 }
-FELT_AND_LOSSES = {name: (name,) for name in ("b1", "b2", "K_H", "p", "M_H")}
-DERIVED = {
-    "c": ("length",), "kappa": ("length", "B"), **FELT_AND_LOSSES, "length": ("length",), "mass": ("length", "tension"),
-    "strike_position": ("length",), "pickup": ("length",),
-}  # fmt: skip
-TYPICAL_SOURCE = f"strings and hammers {CHABASSIER}; losses: {BENSA_2003}"
+# The interpolated quantities over the MIDI number.
+TABLES: dict[str, list[tuple[float, float]]] = {"strings": STRINGS_PER_KEY} | {
+    name: [(float(row.midi), getattr(row, name)) for row in rows]
+    for names, rows in (("length tension B", STRINGS), ("b1 b2", LOSSES), ("M_H K_H p", HAMMERS))
+    for name in names.split()
+}
 
 
 @cache
@@ -328,59 +307,64 @@ def _curve(name: str) -> Callable[[float], float]:
     return at
 
 
-# Values that the paper lacks. A steel wire of 1 m and 1 mm has 6.18 g, and at c = 310.6 m/s a usual tension of 596 N.
-# Strike and pickup positions are those of `typical`. The paper gives no initial κ, so the final one is used.
-_PAPER_GEOMETRY = Geometry(length=1.0, mass=6.18e-3, strike_position=0.12, width=0.02, pickup=0.30)
-_PAPER_LACKS = "M_S, x0, window, pickup: chosen"
+def _of_the_paper(name: str, string: String, hammer: Hammer, lacks: str = "") -> Preset:
+    """A preset with the values that the paper lacks.
+
+    A steel wire of 1 m and 1 mm has 6.18 g, and at c = 310.6 m/s a usual tension of 596 N. Strike and pickup positions
+    are those of `typical`. The paper gives no initial κ, so the final one is used.
+    """
+    geometry = Geometry(length=1.0, mass=6.18e-3, strike_position=0.12, width=0.02, pickup=0.30)
+    return Preset(name, None, string, hammer, geometry, PAPER, READ, f"M_S, x0, window, pickup: chosen{lacks}")
 
 
 def _after_chabassier(row: PublishedString) -> Preset:
-    typical_note = _typical(row.midi, row.note)
-    string = typical_note.string._replace(c=row.c, kappa=row.kappa)
-    name = f"chabassier-{row.note.replace('#', 's')}"
-    completed = (
-        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen; losses: "
-        "Bensa et al. (2003)"
-    )
-    geometry = _geometry(row.length, row.mass, row.strike)
+    note = _typical(row.midi, row.note)
     return Preset(
-        name, row.note, string, typical_note.hammer, geometry, row.source, row.derivation, completed,
-        _interpolated(row.midi, FELT_AND_LOSSES),
-    )  # fmt: skip
+        f"chabassier-{row.note.replace('#', 's')}",
+        row.note,
+        note.string._replace(c=row.c, kappa=row.kappa),
+        note.hammer,
+        _geometry(row.length, row.mass, row.strike),
+        CHABASSIER,
+        SECOND_HAND,
+        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen; losses: "
+        "Bensa et al. (2003)",
+        _interpolated(row.midi),
+    )
 
 
 def _chaigne_c4() -> Preset:
     length, mass, tension, epsilon = 0.62, 3.93e-3, 670.0, 3.82e-5
     c = math.sqrt(tension * length / mass)
-    typical_note, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
-    string = typical_note.string._replace(
-        c=c, kappa=math.sqrt(epsilon) * c * length
-    )  # stiffness term of the source: ε c² L² y_xxxx
-    hammer = typical_note.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
-    completed = (
-        "mu, window, pickup: chosen; losses after Bensa et al. (2003), because the source has another loss model"
-    )
+    kappa = math.sqrt(epsilon) * c * length  # the stiffness term of the source is ε c² L² y_xxxx
+    note, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
     return Preset(
-        "chaigne-askenfelt-C4", "C4", string, hammer, _geometry(length, mass), CHAIGNE, SECOND_HAND, completed
+        "chaigne-askenfelt-C4",
+        "C4",
+        note.string._replace(c=c, kappa=kappa),
+        note.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H),
+        _geometry(length, mass),
+        CHAIGNE,
+        SECOND_HAND,
+        "mu, window, pickup: chosen; losses after Bensa et al. (2003), because the source has another loss model",
     )
 
 
 PRESETS: dict[str, Preset] = {
     entry.name: entry
     for entry in (
-        Preset(
-            "bensa-initial", None,
+        _of_the_paper(
+            "bensa-initial",
             String(c=310.6, kappa=1.737, b1=0.500, b2=1.004e-10),
             Hammer(K_H=1.51647e9, mu=0.1000, p=2.55, M_H=6.790e-3, v_H0=0.74078),
-            _PAPER_GEOMETRY, PAPER, READ, f"{_PAPER_LACKS}; kappa: the final value",
+            "; kappa: the final value",
         ),
-        Preset(
-            "bensa-final", None,
+        _of_the_paper(
+            "bensa-final",
             String(c=304.101, kappa=1.737, b1=0.568, b2=1.628e-6),
             Hammer(K_H=1.09949e10, mu=0.1998, p=2.56, M_H=5.687e-3, v_H0=0.79993),
-            _PAPER_GEOMETRY, PAPER, READ, _PAPER_LACKS,
         ),
         _chaigne_c4(),
         *map(_after_chabassier, STRINGS),
     )
-}  # fmt: skip
+}

@@ -16,9 +16,19 @@ from .errors import ParameterError, check_range
 from .io.number_format import summary
 
 __all__ = [
-    "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
-    "check", "check_seed", "check_velocity",
-]  # fmt: skip
+    "FIT_NAMES",
+    "HAMMER_NAMES",
+    "PARAMETERS",
+    "STRING_NAMES",
+    "Geometry",
+    "Hammer",
+    "Number",
+    "Parameter",
+    "String",
+    "check",
+    "check_seed",
+    "check_velocity",
+]
 
 # Width of a box in standard deviations of its prior, 2 · 1.96, unless a spread is given: the box is the 95 % interval.
 BOX_WIDTH = 3.92
@@ -93,15 +103,20 @@ class Parameter(NamedTuple):
     """Unit, meaning, bounds and prior of one parameter. The prior is log-normal within the bounds.
 
     Fits search the logarithms, because all parameters are positive and span decades.
+
+    Parameters
+    ----------
+    unit, meaning : "N/m^p" and "felt stiffness", for example; "1" without a unit.
+    lower, upper : bounds, positive.
+    median : median of the prior, or a function of the MIDI key. None: the geometric mean of the bounds.
+    spread : prior standard deviation of the logarithm. None: the bounds are the 95 % interval.
     """
 
     unit: str
     meaning: str
     lower: float
     upper: float
-    # Median of the prior, or a function of the MIDI key. None: the geometric mean of the bounds.
     median: float | Callable[[float], float] | None = None
-    # Standard deviation of the logarithm. None: the bounds are the 95 % interval.
     spread: float | None = None
 
     def prior_median(self, midi: float) -> float:
@@ -116,13 +131,7 @@ class Parameter(NamedTuple):
         return math.log(self.upper / self.lower) / BOX_WIDTH if self.spread is None else self.spread
 
     def check(self, where: str) -> None:
-        """Check the bounds and the prior.
-
-        Raises
-        ------
-        ParameterError
-            If the bounds are invalid, or the prior is outside them.
-        """
+        """Raise a `ParameterError` if the bounds are invalid, or the prior is outside them."""
         if not 0 < self.lower < self.upper < math.inf:
             raise ParameterError(f"{where}: bounds {self.lower!r} to {self.upper!r} must be positive and increasing")
         if not (self.median is None or callable(self.median) or self.lower <= self.median <= self.upper):
@@ -131,6 +140,7 @@ class Parameter(NamedTuple):
             raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; use [fixed] to hold a value")
 
 
+# The nine parameters of the paper (eq. 20), with the bounds of a search.
 PARAMETERS: dict[str, Parameter] = {
     "c": Parameter("m/s", "transverse wave speed", 20.0, 2000.0),
     "kappa": Parameter("m²/s", "string stiffness coefficient", 1e-3, 1e2),
@@ -152,7 +162,10 @@ def check(
 ) -> dict[str, float]:
     """Return `values` as finite floats within their `bounds`.
 
-    Raises `ParameterError` otherwise. The message names `where`, the parameter, its value and its range.
+    Raises
+    ------
+    ParameterError
+        The message names `where`, the parameter, its value and its range.
     """
     for name, value in values.items():
         if name not in bounds:

@@ -186,11 +186,16 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
     law = law_of(hammer)
     felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name
     return Setup(
-        length=length, mass=mass, strike_position=strike, strike_width=width, pickup_quantity=quantity,
+        length=length,
+        mass=mass,
+        strike_position=strike,
+        strike_width=width,
+        pickup_quantity=quantity,
         pickup_position=pickup if quantity in STRING_PICKUPS else None,
         pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
-        recordings=(RecordingInfo(file=name),), felt=felt if law.hammers is not None else law,
-    )  # fmt: skip
+        recordings=(RecordingInfo(file=name),),
+        felt=felt if law.hammers is not None else law,
+    )
 
 
 def setup_text(setup: Setup) -> str:

@@ -167,7 +167,7 @@ def fitted(stroke: Stroke, recipe: str, seed: int, annealing: int | None = None,
     if recipe == "global":
         return run(method="global", seed=seed)
     results = [run(evaluations=annealing, seed=seed + SEED_STEP * n) for n in range(tries)]
-    return min(results, key=lambda result: result.reference.criterion["band3"]["final"])
+    return min(results, key=lambda result: result.reference.criterion.bands["band3"].final)
 
 
 def values_of(result: Result) -> dict[str, float]:

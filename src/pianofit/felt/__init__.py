@@ -1,6 +1,7 @@
 """Felt laws, one file each. A file added here is available in `setup.toml`, fits, files and pages.
 
-The file of a law holds data and plain arithmetic, so a setup is checked without JAX. `model/felt` computes its steps.
+The file of a law holds data and plain arithmetic, so a setup is checked without JAX. `steps`, which the contact
+imports, computes the steps of all laws: a new law needs its file only.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ __all__ = [
 LAWS: dict[str, FeltLaw] = {
     law.name: law
     for module in pkgutil.iter_modules(__path__)
+    if not module.ispkg
     for law in getattr(import_module(f".{module.name}", __name__), "LAWS", ())
 }
 # The law of the paper, for setups that name none.

@@ -40,7 +40,7 @@ from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
 from ..conversions import DB
-from ..model.x64 import AnyArray
+from ..x64 import AnyArray
 
 # Arrays of NumPy or of JAX, and one of the two as a module.
 Values = Any

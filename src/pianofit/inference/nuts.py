@@ -23,7 +23,7 @@ from jaxtyping import Array
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
 from ..io.table_output import require_optional
-from ..model.x64 import float64, x64_scope
+from ..x64 import float64, x64_scope
 from .batched_model import (
     LevelModel,
     level_jacobians_per_string,

@@ -20,8 +20,7 @@ from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..io.files import printable
 from ..io.number_format import log_half_width
-from ..model.decay import decays_and_beats
-from ..model.modal_response import ModalResponse
+from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..schema.fit import Fit, read_fit

@@ -1,14 +1,13 @@
 """The direct model: parameters in, force pulse, spectrum and waveform out.
 
 A string is a table of modes (`modes`). Contact is one scalar equation per step (`contact`). The response after it is
-in closed form (`free_response`). All is computed in float64 (`x64`), and the caller's JAX settings stay unchanged.
+in closed form (`free_response`). All is computed in float64 (`pianofit.x64`).
 """
 
 from .contact import Pulse, kernel, strike
-from .excitation import pluck
-from .felt import felt_force, static_force
+from .free_motion import pluck, project
 from .free_response import level_db, levels, mobility, modal_amplitudes, spectrum, waveform
-from .modes import Modes, mode_frequencies, mode_table, project, window_weights
+from .modes import Modes, mode_frequencies, mode_table, window_weights
 from .note import Note
 from .output_path import OutputPath
 from .simulate import Simulation, contact_rate, simulate
@@ -20,7 +19,6 @@ __all__ = [
     "Pulse",
     "Simulation",
     "contact_rate",
-    "felt_force",
     "kernel",
     "level_db",
     "levels",
@@ -32,7 +30,6 @@ __all__ = [
     "modal_amplitudes",
     "simulate",
     "spectrum",
-    "static_force",
     "strike",
     "waveform",
     "window_weights",

@@ -7,7 +7,7 @@ eq. 16) is
     e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion        u_n = e_n - C T_n,   C = a²/M_H + g_0
     w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = F(u_n, w_n)
 
-where F is the felt law (`felt`), a convex function that rises with `u_n`.
+where F is the felt law (`felt.steps`), a convex function that rises with `u_n`.
 """
 
 from __future__ import annotations
@@ -18,27 +18,26 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Float
 
 from ..errors import ParameterError
+from ..felt.steps import compression, force, memory_weights, update_relaxation
 from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
+from ..x64 import AnyArray, derivative, float64
 from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
-from .felt import compression, force, memory_weights, update_relaxation
-from .modes import Modes
-from .x64 import AnyArray, derivative, float64
+from .free_motion import FreeMotion, free_motion
+from .modes import ComplexModes, Modes, RealModesLike
 
 __all__ = [
-    "FreeMotion",
-    "Pulse",
     "PostContactState",
-    "strike_moving_string",
-    "free_motion",
+    "Pulse",
     "impulse_amplitude",
     "kernel",
     "kernel_rows",
-    "strike_final_state",
     "strike",
+    "strike_final_state",
+    "strike_moving_string",
 ]
 
 
@@ -59,24 +58,13 @@ class Pulse(NamedTuple):
 class PostContactState(NamedTuple):
     """State of the modes after a contact, `steps` steps after the first touch."""
 
-    amplitude: Complex[Array, " modes"]  # m: afterwards each mode moves as q_n = Re(amplitude · z^(n - steps))
+    amplitude: ComplexModes  # m: afterwards each mode moves as q_n = Re(amplitude · z^(n - steps))
     steps: Array
     separated: Bool[Array, ""]  # hammer and string are apart after these steps
 
 
-class FreeMotion(NamedTuple):
-    """Free motion of a string, q = Re(amplitude · z^n), with its speed and energy."""
-
-    amplitude: Complex[Array, " modes"]  # m
-    speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
-    energy: Float[Array, ""]  # J
-
-    def __repr__(self) -> str:
-        return summary(self)
-
-
 @float64
-def impulse_amplitude(modes: Modes) -> Complex[Array, " modes"]:
+def impulse_amplitude(modes: Modes) -> ComplexModes:
     """C_k, m/N: after a unit `T` at step 0 the mode moves as q_n = Re(C_k z_k^n), n ≥ 0."""
     a = modes.step / 2
     v = a * modes.modal_gain / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
@@ -98,26 +86,15 @@ def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
 
 
 @float64
-def free_motion(
-    modes: Modes, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"]
-) -> FreeMotion:
-    """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
-    rate = modes.free_rate
-    amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
-    at_node = modes.modal_gain == 0  # the hammer neither drives nor senses this mode
-    mass = jnp.where(at_node, 0.0, modes.strike / jnp.where(at_node, 1.0, modes.modal_gain))
-    # The scheme's energy needs the scheme's velocity: p̃ = (z - 1)/(z + 1)/a.
-    z_1 = jnp.expm1(modes.pole * modes.step)
-    velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
-    energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
-    return FreeMotion(jnp.asarray(amplitude), (modes.strike * velocity).sum(), energy)
-
-
-@float64
 def strike(
-    modes: Modes, hammer: Any, *, steps: int, free: FreeMotion | None = None,
-    rows: AnyArray | None = None, whole: bool = True,
-) -> Pulse:  # fmt: skip
+    modes: Modes,
+    hammer: Any,
+    *,
+    steps: int,
+    free: FreeMotion | None = None,
+    rows: AnyArray | None = None,
+    whole: bool = True,
+) -> Pulse:
     """Simulate the contact of hammer and string for `steps` steps δt of the table.
 
     The contact may end and begin again. The function proves its end: after the last step the string's displacement
@@ -133,12 +110,12 @@ def strike(
     free : motion of a string that already sounds, see `pluck`; at rest by default.
     rows : `kernel_rows` of the string, for many hammers on one string without derivatives by it. They then carry the
         response to past forces in place of the modes, which are more numerous than the steps.
-    whole : reject a pulse that is cut off. Under `jit`, `vmap` or `grad` this is not possible: check `over`.
+    whole : reject a pulse that is cut off. Under `jit`, `vmap` or `grad` this is not possible: check `contact_ended`.
 
     Returns
     -------
-    `drive`, N, for `spectrum`, `levels` and `waveform`; `force`, N, and `compression`, m [steps]; `hammer`, position
-    and velocity [steps, 2]; `work`, J; `over`, true if the contact is proven to be over.
+    A pulse: `drive`, N, for `spectrum`, `levels` and `waveform`; `force`, N, and `compression`, m [steps]; `hammer`,
+    m and m/s [steps, 2]; `work`, J; `contact_ended`, true if the contact is proven to be over.
 
     Raises
     ------
@@ -182,8 +159,6 @@ def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> P
     ----------
     steps : largest number of steps, a multiple of 32. It may be traced, so another number needs no new program.
     """
-    if not isinstance(steps, Tracer) and steps % BLOCK:
-        raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
     count, ((real, imag), _), separated, *_ = _until_over(modes, hammer, at_rest, steps)
@@ -192,9 +167,13 @@ def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> P
 
 @float64
 def strike_moving_string(
-    modes: Modes, hammer: Any, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"],
-    powers: tuple[AnyArray, AnyArray], steps: int,
-) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:  # fmt: skip
+    modes: Modes,
+    hammer: Any,
+    displacement: RealModesLike,
+    velocity: RealModesLike,
+    powers: tuple[AnyArray, AnyArray],
+    steps: int,
+) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:
     """Simulate the contact of a hammer with a moving string; it stops once the contact is proven over.
 
     The modes carry the free motion together with the response to past forces, at no extra cost.
@@ -214,10 +193,7 @@ def strike_moving_string(
     return drive[:-1], force[:-1], over
 
 
-def _until_over(
-    modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArray,
-    powers: tuple[AnyArray, AnyArray] | None = None, outputs: tuple[Array, ...] = (),
-):  # fmt: skip
+def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArray, powers=None, outputs=()):
     """Step block by block until the contact is proven to be over.
 
     Parameters
@@ -236,44 +212,31 @@ def _until_over(
         return (state[0] < steps // BLOCK) & ~state[-1]
 
     def advance_block(state):
-        count, carry, _, previous, energy, outputs, _ = state
+        count, carry, _, outputs, previous, energy, _ = state
         carry, (*forces, u, y, v) = block(carry, jnp.zeros(BLOCK))
-        string = y - u
+        string, at = y - u, (1 + count * BLOCK,)
         energy = energy + 0.5 * (forces[0] * (string - jnp.append(previous, string[:-1]))).sum()
-        at = (1 + count * BLOCK,)
         outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, forces, strict=False))
-        return (
-            count + 1,
-            carry,
-            u[-1] <= 0,
-            string[-1],
-            energy,
-            outputs,
-            _cannot_return(modes, u[-1], y[-1], v[-1], energy),
-        )
+        over = _cannot_return(modes, u[-1], y[-1], v[-1], energy)
+        return count + 1, carry, u[-1] <= 0, outputs, string[-1], energy, over
 
     no = jnp.asarray(False)
-    initial = (0, ((advanced.real, advanced.imag), first), no, under, free.energy, outputs, no)
-    count, carry, separated, _, _, outputs, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
+    initial = (0, ((advanced.real, advanced.imag), first), no, outputs, under, free.energy, no)
+    count, carry, separated, outputs, _, _, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
     return count, carry, separated, outputs, over
 
 
 def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:
-    """Return true if the hammer moves away and is farther off than a string of these energies can reach."""
-    reach = sum(_max_displacement(modes, energy) for energy in energies)
+    """Return true if the hammer moves away and is farther off than a string of these energies, J, can reach.
+
+    The largest displacement under the hammer is √(2 E S) (Cauchy-Schwarz over modes).
+    """
+    compliance = (modes.strike * modes.modal_gain / modes.omega2).sum()
+    reach = sum(jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance) for energy in energies)
     return (u <= 0) & (v_hammer <= 0) & (y_hammer + reach <= 0)
 
 
-def _max_displacement(modes: Modes, energy: AnyArray) -> Array:
-    """Largest displacement under the hammer that a string of this energy can reach, m (Cauchy-Schwarz over modes)."""
-    compliance = (modes.strike * modes.modal_gain / modes.omega2).sum()
-    return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
-
-
-def _blocks(
-    modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows: AnyArray | None,
-    computed_powers: tuple[AnyArray, AnyArray] | None = None,
-):  # fmt: skip
+def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows, computed_powers=None):
     """Return a function that advances the hammer by one block, and its initial state; symbols as in the module.
 
     The sum over past forces is split. Forces of the present block are summed with the kernel, step by step. Earlier

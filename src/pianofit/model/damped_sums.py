@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .x64 import AnyArray, derivative, float64
+from ..x64 import AnyArray, derivative, float64
 
 __all__ = ["BLOCK", "real_powers", "sum_damped_exponentials", "z_transform"]
 

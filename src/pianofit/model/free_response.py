@@ -20,29 +20,31 @@ from jaxtyping import Array, Complex, Float
 from ..dsp.damped_sums import sum_damped_modes
 from ..dsp.level import level_energy
 from ..errors import ParameterError
-from .contact import FreeMotion, impulse_amplitude
+from ..x64 import AnyArray, float64
+from .contact import impulse_amplitude
 from .damped_sums import sum_damped_exponentials, z_transform
-from .modes import Modes
-from .x64 import AnyArray, float64
+from .free_motion import FreeMotion
+from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
 
 __all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
 
 # Largest exponent: exp of this, and its square, are finite.
 MAX_EXPONENT = 300.0
 
+# Values at frequencies, and values of the steps of a contact.
+Frequencies = Float[AnyArray, " bins"]
+ComplexBins = Complex[Array, " bins"]
+Steps = Float[AnyArray, " steps"]
+
 
 @float64
-def damped_circle(
-    frequency: Float[AnyArray, " bins"], sigma: float | AnyArray, step: AnyArray
-) -> Complex[Array, " bins"]:
+def damped_circle(frequency: Frequencies, sigma: float | AnyArray, step: AnyArray) -> ComplexBins:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
 
 @float64
-def mobility(
-    modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: Complex[AnyArray, " modes"] | None = None
-) -> Complex[Array, " bins"]:
+def mobility(modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: ComplexModesLike | None = None) -> ComplexBins:
     """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or of free motion with modal `amplitude`), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
     return modal_transform(residue, modes.pole * modes.step, jnp.log(zeta))
@@ -63,9 +65,8 @@ def modal_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> A
 
 @float64
 def spectrum(
-    modes: Modes, drive: Float[AnyArray, " steps"], frequency: Float[AnyArray, " bins"], sigma: float | AnyArray,
-    free: FreeMotion | None = None,
-) -> Complex[Array, " bins"]:  # fmt: skip
+    modes: Modes, drive: Steps, frequency: Frequencies, sigma: float | AnyArray, free: FreeMotion | None = None
+) -> ComplexBins:
     """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
 
     The width of every peak is σ/2π Hz: 30 1/s is broad and smooth, 3 1/s resolves partials that beat.
@@ -85,7 +86,7 @@ def spectrum(
     Raises
     ------
     ParameterError
-        Where it is traced in float32.
+        If it is traced in float32.
 
     Examples
     --------
@@ -104,9 +105,7 @@ def spectrum(
 
 
 @float64
-def modal_amplitudes(
-    modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None
-) -> Complex[Array, " modes"]:
+def modal_amplitudes(modes: Modes, drive: Steps, free: FreeMotion | None = None) -> ComplexModes:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
     total = modes.pickup * impulse_amplitude(modes) * z_transform(drive, _log_growth(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
@@ -119,9 +118,7 @@ def _log_growth(modes: Modes, steps: int) -> Array:
 
 
 @float64
-def levels(
-    modes: Modes, drive: Float[AnyArray, " steps"] | None = None, *, free: FreeMotion | None = None
-) -> Float[AnyArray, " modes"]:
+def levels(modes: Modes, drive: Steps | None = None, *, free: FreeMotion | None = None) -> RealModesLike:
     """Levels of all partials after the contact, dB re (signal unit)² · s [modes], from pulse, free motion or both.
 
     A level is the energy in the first 0.35 s under exp(-8t), extrapolated to the first contact. Modes without weight
@@ -140,7 +137,7 @@ def levels(
     Raises
     ------
     ParameterError
-        Where it is traced in float32.
+        If it is traced in float32.
 
     Examples
     --------
@@ -155,9 +152,7 @@ def levels(
 
 
 @float64
-def level_db(
-    amplitude: Complex[AnyArray, " modes"], decay: Float[AnyArray, " modes"], xp=jnp
-) -> Float[AnyArray, " modes"]:
+def level_db(amplitude: ComplexModesLike, decay: RealModesLike, xp=jnp) -> RealModesLike:
     """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
 
     `xp` is the array library: with NumPy nothing is compiled, and the result is an array of NumPy.
@@ -169,7 +164,7 @@ def level_db(
 @float64
 def waveform(
     modes: Modes,
-    drive: Float[AnyArray, " steps"] | None = None,
+    drive: Steps | None = None,
     *,
     rate: float,
     samples: int,
@@ -209,19 +204,12 @@ def waveform(
     >>> pianofit.waveform(modes, pulse.drive, rate=44_100.0, samples=1000).shape
     (1000,)
     """
-    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((modes, drive, free)))
     ratio = _ratio(modes, rate, oversampling)
     drive = np.zeros(1) if drive is None else drive
-    pole, amplitudes = modes.pole, _pickup_amplitudes(modes, drive, free)
-    if free is not None:
-        amplitudes = (*amplitudes, modes.free_pickup * free.amplitude)
-    below = jnp.abs(jnp.imag(pole)) < jnp.pi * rate
-    if traced:
-        xp, amplitudes = jnp, [x * below for x in amplitudes]
-    else:  # modes above half of the rate are left out
-        xp, kept, drive = np, np.asarray(below), np.asarray(drive)
-        pole, *amplitudes = (np.asarray(x)[kept] for x in (pole, *amplitudes))
-    unit, amplitude, *release = amplitudes
+    arrays = (modes.pole, drive, *_pickup_amplitudes(modes, drive, free))
+    xp = jnp if any(isinstance(x, Tracer) for x in arrays) else np
+    pole, drive, *amplitudes = map(xp.asarray, arrays)
+    unit, amplitude, *release = (x * (xp.abs(xp.imag(pole)) < xp.pi * rate) for x in amplitudes)
 
     steps, log_z = len(drive), pole / (ratio * rate)
     convolved = xp.fft.rfft(_ring(unit, log_z, steps, xp), 2 * steps) * xp.fft.rfft(drive, 2 * steps)
@@ -252,9 +240,10 @@ def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
 
 
 @jax.jit
-def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None):
-    """Amplitudes at the pickup after a unit `T` at step 0, and after the whole pulse [modes]."""
-    return modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free)
+def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None) -> tuple[Array, ...]:
+    """Amplitudes at the pickup after a unit `T` at step 0, after the whole pulse, and of `free` alone [modes]."""
+    amplitudes = (modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free))
+    return amplitudes if free is None else (*amplitudes, modes.free_pickup * free.amplitude)
 
 
 def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The modal response of a key: the measured transfer from the hammer force to the file, one per key.
+"""The modal response of a key: the measured transfer from the hammer force to the file, and its decays and beats.
 
     sound(t) = g F(t) ∗ (Re Σ_m a_m(v) P_m e^{p_m t} + knock(t))
 
@@ -6,6 +6,9 @@ Poles p, patterns P (one complex number per mode and channel) and the knock belo
 velocity. The knock is a short kernel with all that is not a mode: the thump of soundboard and key, and the sound below
 the lowest partial. F is the force of a stroke, from string, hammer and felt. The velocity gain a, one complex number
 per mode, is the change with velocity v beyond the change that the force explains. It is 1 where the force explains all.
+
+The energy of a partial's modes without their interference, Σ |P_m|² exp(2 Re p_m t) over modes and channels, falls
+smoothly, first at the rate of the fast modes and then at that of the slow ones. Interference adds the beats.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve, resample_poly
 
+from ..conversions import BEATING_DB
 from ..dsp.damped_sums import sum_damped_modes, z_transform_at_poles
 from ..dsp.filters import resample
 from ..io.number_format import summary
@@ -24,10 +28,14 @@ from .simulate import Simulation
 
 __all__ = [
     "FILTER_REACH",
+    "EARLY",
+    "LATE",
     "PRE_ONSET_S",
     "ForcePulse",
     "VelocityGain",
     "ModalResponse",
+    "PartialDecay",
+    "decays_and_beats",
     "force_pulse",
     "cancel_static_deflection",
     "trim_trailing_zeros",
@@ -43,6 +51,12 @@ INTERPOLATION_STEPS = 8
 CACHED_KEYS = 88
 # The correction of a mode ends where it has decayed by exp of this.
 MAX_DECAY_EXPONENT = 35.0
+# Intervals of the two decay times, s after the contact: before and after the bend of most decays.
+EARLY, LATE = (0.05, 0.5), (1.0, 3.0)
+# Beats are evaluated while a partial is within this many dB of its level at the start of `EARLY`.
+BEAT_RANGE = 60.0
+# Step of the envelope, s: modes of one partial lie closer together than 100 Hz.
+ENVELOPE_STEP = 0.002
 
 
 class ForcePulse(NamedTuple):
@@ -141,14 +155,12 @@ class ModalResponse(NamedTuple):
 
     def at(self, rate: int) -> ModalResponse:
         """Return the response for files of another rate: a resampled knock, and the modes below half of `rate`."""
-        below = np.imag(self.pole) < np.pi * rate
+        below, part = np.imag(self.pole) < np.pi * rate, self.velocity_gain
         columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
-        knock = self.knock
-        if knock.shape[-1]:
-            knock = resample(knock, self.rate, rate)
-        part = self.velocity_gain
-        part = None if part is None else part._replace(factor=part.factor[:, below])
-        return ModalResponse(*columns, knock, rate, part)
+        knock = resample(self.knock, self.rate, rate) if self.knock.shape[-1] else self.knock
+        return ModalResponse(
+            *columns, knock, rate, None if part is None else part._replace(factor=part.factor[:, below])
+        )
 
     def attack_noise(self, velocity: float) -> np.ndarray:
         """Return the knock of a stroke, per unit of its force [channels, samples].
@@ -178,25 +190,18 @@ class ModalResponse(NamedTuple):
         Excitation of each mode at `end`, N s, complex [modes]; the amplitudes are `pattern` times it. And the sound
         [channels, samples] from `PRE_ONSET_S` before the touch: the knock, and the modes up to `end`.
         """
-        rate, lead = self.rate, round(PRE_ONSET_S * self.rate)
-        pulse = force.at(rate)
-        size = max(len(pulse), end + FILTER_REACH)
-        log_z, remaining = (
-            self.pole / rate,
-            end + FILTER_REACH - (len(pulse) - 1),
-        )  # samples from the end of the pulse to `end`
+        rate, pulse = self.rate, force.at(self.rate)
+        begin = round(PRE_ONSET_S * rate) - FILTER_REACH  # of the pulse in the sound
+        until = end + FILTER_REACH  # samples from the begin of the pulse to `end`
+        size, log_z = max(len(pulse), until), self.pole / rate
         part = 1.0 if self.velocity_gain is None else self.velocity_gain.at(force.velocity)
-        state = part * np.exp(log_z * remaining) * z_transform_at_poles(log_z, pulse[::-1])
-        onset = np.zeros(
-            (self.channels, max(lead - FILTER_REACH + size, self.knock.shape[-1] + len(pulse) - 1 - FILTER_REACH))
-        )
-        head = onset[:, lead - FILTER_REACH : lead - FILTER_REACH + size]
+        state = part * np.exp(log_z * (until - (len(pulse) - 1))) * z_transform_at_poles(log_z, pulse[::-1])
+        onset = np.zeros((self.channels, max(begin + size, self.knock.shape[-1] + len(pulse) - 1 - FILTER_REACH)))
+        head = onset[:, begin : begin + size]
         driven = sum_damped_modes(self.pole, self.pattern * part, rate, size)
         head += oaconvolve(driven, pulse[None], axes=-1)[:, :size]
         # A band-limited force extends past `end`, where the free decay is added separately.
-        head[:, end + FILTER_REACH :] -= sum_damped_modes(
-            self.pole, self.pattern * state, rate, size - end - FILTER_REACH
-        )
+        head[:, until:] -= sum_damped_modes(self.pole, self.pattern * state, rate, size - until)
         if self.knock.shape[-1]:
             knock = oaconvolve(self.attack_noise(force.velocity), pulse[None], axes=-1)[:, FILTER_REACH:]
             onset[:, : knock.shape[-1]] += knock
@@ -239,3 +244,68 @@ def _static_corrections(pole: bytes, amplitude: bytes, shape: tuple[int, ...], r
     corrections = cancel_static_deflection(modes, rows, rate, count).reshape(*shape[:-1], count)
     corrections.flags.writeable = False
     return corrections
+
+
+class PartialDecay(NamedTuple):
+    """Decay and beating of one partial of a key."""
+
+    number: int  # k
+    frequency: float  # of its strongest mode, Hz
+    modes: int  # number of its modes
+    early: float  # T60 of its energy over `EARLY`, s; NaN where its modes' errors exceed the decay
+    late: float  # the same over `LATE`, s
+    beat_frequency: float  # of the two modes that interfere most, Hz; NaN if none beat by 1.5 dB within `LATE`
+    beat_depth: float  # from the lowest to the highest effect of interference, dB; NaN without beats
+    error: tuple[float, float]  # smallest and largest standard error of its poles (real or imaginary part), 1/s
+
+
+def decays_and_beats(response: ModalResponse) -> list[PartialDecay]:
+    """Compute decay and beating of each partial, in order, after an impulse that drives all its modes alike."""
+    return [_decay(response, int(number)) for number in np.unique(response.number)]
+
+
+def _decay(response: ModalResponse, number: int) -> PartialDecay:
+    chosen = response.number == number
+    pole, pattern, error = response.pole[chosen], response.pattern[:, chosen], response.pole_error[chosen]
+    rate, power = -np.real(pole), np.sum(np.abs(pattern) ** 2, axis=0)
+    strongest = np.argmax(power * -np.expm1(-2 * rate * LATE[1]) / rate)  # by energy up to the end of `LATE`
+    centre = float(np.imag(pole[strongest]))
+    early, late = (_t60(rate, error, power, *interval) for interval in (EARLY, LATE))
+    errors = (float(error.min()), float(error.max()))
+    return PartialDecay(
+        number, centre / (2 * np.pi), len(pole), early, late, *_beats(pole - 1j * centre, pattern), errors
+    )
+
+
+def _energy(rate: np.ndarray, power: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Energy without interference, dB [time]."""
+    exponent = np.log(power) - 2 * np.outer(time, rate)
+    return 10 / np.log(10) * np.logaddexp.reduce(exponent, axis=1)
+
+
+def _t60(rate: np.ndarray, error: np.ndarray, power: np.ndarray, start: float, stop: float) -> float:
+    """T60 of the least-squares line through the energy, s; NaN if the decay is within one standard error of zero."""
+    time = np.arange(start, stop, ENVELOPE_STEP)
+    share = power * np.exp(-(start + stop) * rate)
+    share = share / share.sum()
+    if np.hypot.reduce(share * error) >= share @ rate:
+        return float("nan")
+    return -60 / float(np.polyfit(time, _energy(rate, power, time), 1)[0])
+
+
+def _beats(pole: np.ndarray, pattern: np.ndarray) -> tuple[float, float]:
+    """Frequency, Hz, and depth, dB, of the beats of modes with these poles [modes] and patterns [channels, modes]."""
+    spacing = np.abs(np.subtract.outer(np.imag(pole), np.imag(pole))) / (2 * np.pi)
+    if spacing.max() < 1 / LATE[1]:
+        return np.nan, np.nan
+    time = np.arange(EARLY[0], LATE[1], ENVELOPE_STEP)
+    smooth = _energy(-np.real(pole), np.sum(np.abs(pattern) ** 2, axis=0), time)
+    shape = np.exp(np.outer(pole, time))
+    whole = 10 * np.log10(np.maximum(np.sum(np.abs(pattern @ shape) ** 2, axis=0), 1e-300))
+    depth = np.ptp((whole - smooth)[smooth > smooth[0] - BEAT_RANGE])
+    if depth < BEATING_DB:
+        return np.nan, np.nan
+    # Interference of each two modes relative to the energy of all, averaged over time.
+    share = np.abs(shape) @ (np.abs(shape) / 10 ** (smooth / 10)).T
+    common = np.abs(pattern.conj().T @ pattern) * share * (spacing >= 1 / LATE[1])
+    return float(spacing.flat[np.argmax(common)]), float(depth)

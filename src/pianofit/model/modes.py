@@ -14,7 +14,7 @@ decay rates the scheme has exactly the poles of the continuous string.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +24,26 @@ from jaxtyping import Array, Complex, Float
 from ..errors import ParameterError
 from ..io.number_format import summary
 from ..parameters import Geometry, String
-from .x64 import AnyArray, derivative, float64
+from ..x64 import AnyArray, derivative, float64
 
-__all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
+__all__ = [
+    "QUANTITIES",
+    "ComplexModes",
+    "ComplexModesLike",
+    "Modes",
+    "RealModes",
+    "RealModesLike",
+    "mode_frequencies",
+    "mode_table",
+    "raised_cosine_weights",
+    "window_weights",
+]
+
+# One number per mode, in results and in arguments, which may be arrays of NumPy too.
+RealModes = Float[Array, " modes"]
+ComplexModes = Complex[Array, " modes"]
+RealModesLike = Float[AnyArray, " modes"]
+ComplexModesLike = Complex[AnyArray, " modes"]
 
 QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
 
@@ -37,16 +54,16 @@ MAX_DAMPING_RATIO = 0.9
 
 
 class Modes(NamedTuple):
-    """The table of modes, one row per mode. Rows above `HIGHEST` have weight zero. Units: SI."""
+    """The table of modes, one row per mode, from `mode_table`. Units: SI."""
 
-    omega2: Float[Array, " modes"]  # the scheme's ω̃², 1/s²
-    alpha: Float[Array, " modes"]  # the scheme's α̃, 1/s
-    strike: Float[Array, " modes"]  # Φ_k = ∫ ĝ sin(β_k x) dx
-    modal_gain: Float[Array, " modes"]  # γ̃_k, 1/kg
-    pickup: Complex[Array, " modes"]  # signal = Re(pickup · C z^n) for a displacement q = Re(C z^n)
-    pole: Complex[Array, " modes"]  # p, where z = exp(p δt) is the pole of the scheme, 1/s
-    free_rate: Complex[Array, " modes"]  # v = Re(free_rate · C z^n) in free motion, 1/s
-    free_pickup: Complex[Array, " modes"]  # the pickup for free motion, without gain correction
+    omega2: RealModes  # the scheme's ω̃², 1/s²
+    alpha: RealModes  # the scheme's α̃, 1/s
+    strike: RealModes  # Φ_k = ∫ ĝ sin(β_k x) dx; zero at and above 0.4 of the contact rate
+    modal_gain: RealModes  # γ̃_k, 1/kg
+    pickup: ComplexModes  # signal = Re(pickup · C z^n) for a displacement q = Re(C z^n)
+    pole: ComplexModes  # p, where z = exp(p δt) is the pole of the scheme, 1/s
+    free_rate: ComplexModes  # v = Re(free_rate · C z^n) in free motion, 1/s
+    free_pickup: ComplexModes  # the pickup for free motion, without gain correction
     step: Float[Array, ""]  # δt, s
 
     def __repr__(self) -> str:
@@ -59,18 +76,17 @@ def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
     return np.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * np.pi)
 
 
-def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[AnyArray, " modes"]:
+def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> RealModesLike:
     """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
 
     `xp` is the array library: with NumPy nothing is compiled.
     """
+    at = xp.array([geometry.strike_position, geometry.width, geometry.length], float)
     k = xp.arange(1, n_modes + 1)
-    return (_window_transform if xp is np else _weights)(
-        xp.array([geometry.strike_position, geometry.width, geometry.length], float), k
-    )
+    return _window_transform(at, k, np) if xp is np else _weights(at, k)
 
 
-def _window_transform(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
+def _window_transform(at: AnyArray, k: AnyArray, xp: Any) -> AnyArray:
     strike, width, length = at
     s = k * width / (2 * length)  # sinc(s) is sin(πs)/(πs)
     return xp.sin(k * (xp.pi / length) * strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
@@ -86,12 +102,11 @@ def _weights(at: AnyArray, k: AnyArray) -> AnyArray:
 def _weights_jvp(primal, tangents):
     # A matrix product with the Jacobian: in a sum XLA would compute all these sines again for every direction.
     at, k = primal
-    jacobian = jax.vmap(lambda unit: jax.jvp(lambda x: _window_transform(x, k, jnp), (at,), (unit,))[1])(jnp.eye(3))
-    return _weights(at, k), tangents[0] @ jacobian
+    return _weights(at, k), tangents[0] @ jax.jacfwd(_window_transform)(at, k, jnp).T
 
 
 @float64
-def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
+def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> RealModes:
     """Φ_k of any contact window.
 
     Parameters
@@ -109,29 +124,6 @@ def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[
 
 
 @float64
-def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[Array, " modes"]:
-    """Modal coordinates of an initial shape or velocity: y(x) = Σ q_k sin(β_k x).
-
-    Parameters
-    ----------
-    shape : a function of x in metres, or its values [points] at the inner points x_i = i L/(points + 1).
-
-    Raises
-    ------
-    ParameterError
-        If there are fewer points than modes.
-    """
-    if callable(shape):
-        points = max(4095, 8 * n_modes - 1)
-        shape = np.asarray(shape(np.arange(1, points + 1) * (length / (points + 1))))
-    values = jnp.asarray(shape)
-    if values.shape[0] < n_modes:
-        raise ParameterError(f"shape has {values.shape[0]} points; {n_modes} modes need at least as many")
-    i = jnp.arange(1, values.shape[0] + 1) / (values.shape[0] + 1)
-    return jnp.sin(jnp.pi * jnp.arange(1, n_modes + 1)[:, None] * i) @ values * (2 / (values.shape[0] + 1))
-
-
-@float64
 def mode_table(
     string: String,
     geometry: Geometry,
@@ -140,7 +132,7 @@ def mode_table(
     n_modes: int,
     quantity: str = "velocity",
     kind: str = "continuous",
-    strike_weights: Float[AnyArray, " modes"] | None = None,
+    strike_weights: RealModesLike | None = None,
 ) -> Modes:
     """Compute the table of modes of a string with its strike and pickup positions, one row per mode.
 
@@ -175,28 +167,30 @@ def mode_table(
         raise ParameterError(f"quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
     if kind not in ("continuous", "finite_difference"):
         raise ParameterError(f"kind={kind!r} must be continuous or finite_difference")
+    prewarp = kind == "continuous"
     step = jnp.asarray(1.0 / rate)
-    k = jnp.arange(1, n_modes + 1)
-    beta = k * (jnp.pi / geometry.length)
-    if kind == "continuous":
-        eigen = beta**2
-        weights = raised_cosine_weights(geometry, n_modes)
+    beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)
+    if prewarp:
+        eigen, weights = beta**2, raised_cosine_weights(geometry, n_modes)
     else:
         h = geometry.length / (n_modes + 1)
-        eigen = (2 / h * jnp.sin(beta * h / 2)) ** 2
-        weights = _grid_weights(geometry, n_modes)
+        eigen, weights = (2 / h * jnp.sin(beta * h / 2)) ** 2, _grid_weights(geometry, n_modes)
     weights = weights if strike_weights is None else strike_weights
     if weights.shape != (n_modes,):
         raise ParameterError(f"strike_weights has the shape {weights.shape} and must be [modes], ({n_modes},)")
     omega2 = string.c**2 * eigen + string.kappa**2 * eigen**2
     alpha = jnp.minimum(string.b1 + string.b2 * eigen, MAX_DAMPING_RATIO * jnp.sqrt(omega2))
-    if kind == "continuous":
+    if prewarp:
         weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * MAX_RELATIVE_FREQUENCY, weights, 0.0)
-    pickup, of_displacement = _pickup(string, geometry, beta, quantity)
-    return _rows(omega2, alpha, weights, pickup, of_displacement, geometry.mass, step, prewarp=kind == "continuous")
+    if quantity in ("velocity", "displacement"):
+        pickup = jnp.sin(beta * geometry.pickup)
+    else:
+        sign = jnp.where(jnp.arange(n_modes) % 2 == 0, 1.0, -1.0)
+        pickup = (string.c**2 * beta + string.kappa**2 * beta**3) * geometry.mass / geometry.length * sign
+    return _rows(omega2, alpha, weights, pickup, quantity != "velocity", geometry.mass, step, prewarp)
 
 
-def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
+def _grid_weights(geometry: Geometry, n: int) -> RealModes:
     """Φ_k of the default window sampled on the paper's grid and normalised there."""
     x = jnp.arange(1, n + 1) * (geometry.length / (n + 1))
     inside = jnp.abs(x - geometry.strike_position) < geometry.width / 2
@@ -204,36 +198,24 @@ def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
     return jnp.sin(jnp.arange(1, n + 1)[:, None] * (jnp.pi / geometry.length) * x) @ g / g.sum()
 
 
-def _pickup(string: String, geometry: Geometry, beta: AnyArray, quantity: str) -> tuple[Array, bool]:
-    """Return ψ_k, and true if it applies to the displacement, false if to the velocity."""
-    if quantity in ("velocity", "displacement"):
-        return jnp.sin(beta * geometry.pickup), quantity == "displacement"
-    sign = jnp.where(jnp.arange(beta.shape[0]) % 2 == 0, 1.0, -1.0)
-    tension = (string.c**2 * beta + string.kappa**2 * beta**3) * geometry.mass / geometry.length
-    return tension * sign, True
-
-
-def _rows(omega2, alpha, weights, pickup_weights, reads_displacement: bool, mass, step, *, prewarp: bool) -> Modes:
+def _rows(omega2, alpha, weights, pickup, reads_displacement: bool, mass, step, prewarp: bool) -> Modes:
     """Compute the rows of the scheme for modes of ω², decay rate α, strike weight Φ and pickup weight ψ."""
     a = step / 2
-    drive = 2 * weights / mass
-    pole = -alpha + 1j * jnp.sqrt(omega2 - alpha**2)
+    modal_gain = 2 * weights / mass
+    pole = free_rate = -alpha + 1j * jnp.sqrt(omega2 - alpha**2)
     if prewarp:
-        # Rows above HIGHEST have weight zero; the limit keeps their tangent finite.
-        limit = MAX_RELATIVE_FREQUENCY * jnp.pi
-        angle = jnp.minimum(jnp.sqrt(omega2) * a, limit)
-        warped = jnp.tanh(pole * (a * angle / (jnp.sqrt(omega2) * a))) / a
-        tilde2, alpha_tilde = jnp.abs(warped) ** 2, -warped.real
-        drive = drive * tilde2 / omega2  # keeps the static compliance, on which the contact depends
+        # Rows at and above 0.4 of the rate have weight zero; the limit keeps their tangent finite.
+        angle = jnp.minimum(jnp.sqrt(omega2) * a, MAX_RELATIVE_FREQUENCY * jnp.pi)
+        scheme_rate = jnp.tanh(pole * (a * angle / (jnp.sqrt(omega2) * a))) / a
+        scheme2, scheme_alpha = jnp.abs(scheme_rate) ** 2, -scheme_rate.real
+        modal_gain = modal_gain * scheme2 / omega2  # keeps the static compliance, on which the contact depends
         gain = angle / (jnp.sin(angle) * jnp.cos(angle)) if reads_displacement else (angle / jnp.sin(angle)) ** 2
-        free_rate = pole
     else:
-        tilde2, alpha_tilde, gain = omega2, alpha, jnp.ones_like(omega2)
-        warped = free_rate = pole
+        scheme_rate, scheme2, scheme_alpha, gain = pole, omega2, alpha, 1.0
         # log((1 + ap)/(1 - ap)), in a form whose real part is exactly zero without losses.
         below = (1 + a * alpha) ** 2 + a**2 * (omega2 - alpha**2)
-        turn = jnp.arctan2(2 * a * warped.imag, 1 - a**2 * omega2)
+        turn = jnp.arctan2(2 * a * pole.imag, 1 - a**2 * omega2)
         pole = (0.5 * jnp.log1p(-4 * a * alpha / below) + 1j * turn) / step
-    pickup = pickup_weights * gain * (jnp.ones_like(warped) if reads_displacement else warped)
-    free_pickup = pickup_weights * (jnp.ones_like(warped) if reads_displacement else free_rate)
-    return Modes(tilde2, alpha_tilde, weights, drive, pickup, pole, free_rate, free_pickup, step)
+    rates = (jnp.ones_like(pole),) * 2 if reads_displacement else (scheme_rate, free_rate)
+    driven, free = pickup * gain * rates[0], pickup * rates[1]
+    return Modes(scheme2, scheme_alpha, weights, modal_gain, driven, pole, free_rate, free, step)

@@ -10,19 +10,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import deferred
 from ..errors import ParameterError, check_range, check_type
 from ..felt import RelaxingHammer
 from ..io.audio import RATES
 from ..io.number_format import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
-from .arguments import is_numeric
+from ..x64 import float64, is_numeric
 from .contact import strike
 from .free_response import level_db, modal_amplitudes
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
 from .output_path import OutputPath, apply_filter, apply_to_modes, impulse_response
 from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
-from .x64 import float64
 
 __all__ = ["MAX_SAMPLES", "MAX_SECONDS", "Note", "arrival", "check_render"]
 
@@ -40,7 +40,18 @@ BLOCK = 256
 class Note(NamedTuple):
     """All that maps parameters to the samples of a file; a JAX pytree with static `quantity`.
 
-    An example is half a second of a middle C with typical parameters, struck at 2 m/s:
+    Parameters
+    ----------
+    string, hammer, geometry : in SI units; see `String`, `Hammer` (or `RelaxingHammer`, `FeltLaw.hammer`), `Geometry`.
+    quantity : measured quantity, see `mode_table`.
+    gain : file units (full scale = 1) per unit of the pickup.
+    path : output path, dB over frequency, in addition to the gain.
+    ringing : measured modes and knock. They render the sound in place of string and path, per unit of gain.
+        `levels` still uses string and path.
+
+    Examples
+    --------
+    Half a second of a middle C with typical parameters, struck at 2 m/s:
 
     >>> import pianofit
     >>> it = pianofit.typical(60)
@@ -52,10 +63,9 @@ class Note(NamedTuple):
     string: String
     hammer: Hammer | RelaxingHammer
     geometry: Geometry
-    quantity: str  # measured quantity, see `mode_table`
-    gain: float  # file units (full scale = 1) per unit of the pickup
-    path: OutputPath | None = None  # dB over frequency, in addition to the gain
-    # Renders the sound in place of string and path, per unit of gain; `levels` still uses string and path.
+    quantity: str
+    gain: float
+    path: OutputPath | None = None
     ringing: ModalResponse | None = None
 
     def __repr__(self) -> str:
@@ -76,7 +86,13 @@ class Note(NamedTuple):
         return self._replace(hammer=self.hammer._replace(v_H0=velocity))
 
     def with_cents(self, cents: float) -> Note:
-        """Return the note transposed by `cents`."""
+        """Return the note transposed by `cents`, with the same decay rates.
+
+        Raises
+        ------
+        ParameterError
+            If `cents` is not a number.
+        """
         check_type("cents=", cents, Real, "a number")
         ratio = 2 ** (cents / 1200)
         ringing = None if self.ringing is None else self.ringing.scale_pitch(ratio)
@@ -90,13 +106,18 @@ class Note(NamedTuple):
     def render(
         self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100, mono: bool = True
     ) -> np.ndarray:
-        """Render the sound in file units, at another hammer velocity, m/s, if given.
+        """Render the sound. It begins `pre_onset_s` before the first contact.
 
-        It begins `pre_onset_s` before the first contact.
+        Parameters
+        ----------
+        velocity : hammer velocity, m/s; that of the hammer if None.
+        seconds : length, s.
+        rate : sample rate, Hz.
+        mono : return the mean of the channels.
 
         Returns
         -------
-        [samples], the mean of the channels; [channels, samples] if not `mono`.
+        The sound in file units [samples]; [channels, samples] if not `mono`.
 
         Raises
         ------
@@ -111,16 +132,14 @@ class Note(NamedTuple):
         return frames.mean(axis=0) if mono else frames
 
     def play(self) -> Any:
-        """Return a widget that plays the note at any velocity in Jupyter or marimo; needs the extra `widget`.
+        """Return a widget that plays the note at any velocity in Jupyter or marimo; it needs the extra `widget`.
 
         Raises
         ------
         ParameterError
             If anywidget is not installed, or a page cannot play this felt law.
         """
-        from ..web.widget import widget
-
-        return widget(self)
+        return deferred.call("web.widget", "widget", self)
 
     def render_stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """Render the sound [samples] in file units, and return its simulation; contact begins at the index `touch`."""
@@ -128,7 +147,7 @@ class Note(NamedTuple):
         return self.render_mono(simulation, rate, samples, touch), simulation
 
     def strike(self, rate: float) -> Simulation:
-        """Simulate the stroke, with a contact rate that is a multiple of `rate`, Hz."""
+        """Simulate the stroke, with a contact rate that is a multiple of `rate`, Hz; see `simulate`."""
         return simulate(self.string, self.hammer, self.geometry, rate=rate, quantity=self.quantity)
 
     def render_mono(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
@@ -143,9 +162,10 @@ class Note(NamedTuple):
         """
         begin = touch - round(self.pre_onset_s * rate)
         count = max(samples - begin, 0)
-        sound = self._render_string_model(strike, rate, count)[None] if self.ringing is None else (
-            self.gain * self.ringing.sound(force_pulse(strike, float(self.hammer.v_H0)), round(rate), count)
-        )  # fmt: skip
+        if self.ringing is None:
+            sound = self._render_string_model(strike, rate, count)[None]
+        else:
+            sound = self.gain * self.ringing.sound(force_pulse(strike, float(self.hammer.v_H0)), round(rate), count)
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 
     def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
@@ -160,12 +180,17 @@ class Note(NamedTuple):
         return mode_frequencies(self.string, self.geometry.length, count)
 
     def levels(self, velocity: float | np.ndarray | None = None, count: int = 32) -> np.ndarray:
-        """Levels of the first partials at one or several hammer velocities, m/s, from the arrival of the wave on.
+        """Levels of the first partials, from the arrival of the wave on.
+
+        Parameters
+        ----------
+        velocity : hammer velocities, m/s [...]; that of the hammer if None.
+        count : number of partials.
 
         Returns
         -------
-        Levels as `pianofit.levels` defines them, dB in file units [..., partials], with the leading axes of
-        `velocity`. They are infinite if the contact does not end.
+        Levels as `pianofit.levels` defines them, dB in file units [..., partials]. They are infinite if the contact
+        does not end.
 
         Raises
         ------
@@ -199,7 +224,7 @@ jax.tree_util.register_pytree_node(
 @float64
 @partial(jax.jit, static_argnums=(6, 7, 8))
 def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
-    """Levels of all modes [velocities, modes], dB in the unit of the pickup; infinite if the contact does not end."""
+    """Levels of all modes [velocities, modes], dB in the unit of the pickup."""
     modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
 
     def level_at(v):
@@ -217,13 +242,7 @@ def arrival(string: String, geometry: Geometry, quantity: str) -> float:
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:
-    """Reject arguments that cannot be rendered.
-
-    Raises
-    ------
-    ParameterError
-        The message names the argument, its value and its range.
-    """
+    """Raise a `ParameterError` for arguments that cannot be rendered."""
     check_velocity(velocity)
     check_range("seconds=", seconds, 0.01, MAX_SECONDS)
     check_range("rate=", rate, *RATES, " Hz")

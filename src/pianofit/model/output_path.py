@@ -74,14 +74,10 @@ class OutputPath(NamedTuple):
 
         It is interpolated by `at_velocity`, and zero at frequencies that are not partials.
         """
-        if self.velocity_discrepancy is None:
+        if (discrepancy := self.velocity_discrepancy) is None:
             return np.zeros((len(velocity), len(frequency)))
         nearest, is_same = self._nearest(frequency)
-        return np.where(
-            is_same,
-            at_velocity(self.velocity_discrepancy.velocity, self.velocity_discrepancy.db[:, nearest], velocity),
-            0.0,
-        )
+        return np.where(is_same, at_velocity(discrepancy.velocity, discrepancy.db[:, nearest], velocity), 0.0)
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Index of the nearest given partial for each `frequency`, and whether it is the same partial."""

@@ -20,7 +20,7 @@ import jax
 from jax.core import Tracer
 
 from ..felt import FeltLaw, is_builtin
-from .x64 import x64_scope
+from ..x64 import x64_scope
 
 __all__ = ["MAX_LOADED", "cache_folder", "enable_program_cache", "persistent_jit"]
 

@@ -13,10 +13,11 @@ from ..errors import FitError, ParameterError, check_range
 from ..felt import check_hammer
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check
-from .contact import FreeMotion, Pulse, free_motion, strike
+from ..x64 import float64
+from .contact import Pulse, strike
+from .free_motion import FreeMotion, free_motion
 from .free_response import waveform
 from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
-from .x64 import float64
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
 
@@ -40,23 +41,33 @@ class Contact(NamedTuple):
 
     def document(self) -> dict[str, float]:
         """Start and duration, ms, and force, N, as `fit.json` holds them."""
-        return {
-            "start_ms": 1e3 * self.start, "duration_ms": 1e3 * (self.stop - self.start), "max_force_N": self.force,
-        }  # fmt: skip
+        duration = self.stop - self.start
+        return {"start_ms": 1e3 * self.start, "duration_ms": 1e3 * duration, "max_force_N": self.force}
 
 
 class Simulation(NamedTuple):
-    """A simulated strike: the table of modes and the pulse, as arrays of NumPy."""
+    """A simulated strike, from `simulate`: arrays of NumPy in SI units."""
 
-    modes: Modes
-    pulse: Pulse
-    free: FreeMotion | None
+    modes: Modes  # the table of modes [modes]
+    pulse: Pulse  # force and motion during the contact [steps]
+    free: FreeMotion | None  # motion of the string before the strike; None if it was at rest
 
     def __repr__(self) -> str:
         return summary(self, lines=True)
 
     def waveform(self, rate: float, samples: int) -> np.ndarray:
-        """Return the signal [samples] from the first touch on; see `waveform`."""
+        """Return the signal from the first touch on, in the unit of the pickup; see `pianofit.waveform`.
+
+        Parameters
+        ----------
+        rate : sample rate, Hz; the contact rate must be a whole multiple of it.
+        samples : number of samples.
+
+        Raises
+        ------
+        ParameterError
+            If the contact rate is not a whole multiple of `rate`.
+        """
         return np.asarray(waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free))
 
     @property
@@ -111,16 +122,14 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
 def count_modes(string: String, geometry: Geometry, rate: float) -> int:
     """Rows of the table: all modes below 0.4 of the contact rate, in multiples of 64 so that programs are shared."""
     frequencies = mode_frequencies(string, geometry.length, MAX_MODES)
-    below = int((frequencies < MAX_RELATIVE_FREQUENCY * rate).sum())
-    return min(MAX_MODES, 64 * -(-below // 64))
+    below = (frequencies < MAX_RELATIVE_FREQUENCY * rate).sum()
+    return min(MAX_MODES, 64 * int(np.ceil(below / 64)))
 
 
-@partial(jax.jit, static_argnames=("n_modes", "steps", "quantity", "kind"))
-def _strike(string, hammer, geometry, rate, weights, start, *, n_modes, steps, quantity, kind):
-    modes = mode_table(
-        string, geometry, rate=rate, n_modes=n_modes, quantity=quantity, kind=kind, strike_weights=weights
-    )
-    free = None if start is None else free_motion(modes, start[0], start[1])
+@partial(jax.jit, static_argnames=("steps", "n_modes", "quantity", "kind"))
+def _strike(string, hammer, geometry, rate, weights, start, *, steps, **table):
+    modes = mode_table(string, geometry, rate=rate, strike_weights=weights, **table)
+    free = None if start is None else free_motion(modes, *start)
     return modes, strike(modes, hammer, steps=steps, free=free), free
 
 
@@ -143,7 +152,7 @@ def simulate(
 
     Parameters
     ----------
-    string, geometry : in SI units.
+    string, geometry : in SI units; see `String` and `Geometry`.
     hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : sample rate of the signal, Hz.
     oversampling : contact rate over sample rate; if None as high as the string needs.
@@ -176,12 +185,9 @@ def simulate(
     check_geometry(geometry, quantity)
     check_range("rate=", rate, 1e3, 1e6, " Hz")
     if kind == "finite_difference" and strike_weights is None and n_modes:
-        spacing = float(geometry.length) / (n_modes + 1)
-        if (
-            np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike_position)))
-            >= float(geometry.width) / 2
-        ):
-            raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies within it")
+        points, width = np.arange(1, n_modes + 1) * (float(geometry.length) / (n_modes + 1)), float(geometry.width)
+        if np.abs(points - float(geometry.strike_position)).min() >= width / 2:
+            raise ParameterError(f"width={width} m: none of the {n_modes} grid points lies within it")
     # One type for all numbers: JAX compiles again for every other type.
     string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))
     geometry = Geometry(*map(np.float64, geometry))
@@ -190,14 +196,11 @@ def simulate(
     start = None
     if displacement is not None or velocity is not None:
         start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
-    steps = FIRST_STEPS
+    traced, steps = (string, hammer, geometry, step_rate, strike_weights, start), FIRST_STEPS
     while steps <= MAX_STEPS:
-        modes, pulse, free = _strike(
-            string, hammer, geometry, step_rate, strike_weights, start,
-            n_modes=rows, steps=steps, quantity=quantity, kind=kind,
-        )  # fmt: skip
-        if bool(pulse.contact_ended):
-            return Simulation(*jax.tree.map(np.asarray, (modes, pulse, free)))
+        done = Simulation(*_strike(*traced, n_modes=rows, steps=steps, quantity=quantity, kind=kind))
+        if done.pulse.contact_ended:
+            return jax.tree.map(np.asarray, done)
         steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
@@ -206,13 +209,7 @@ def simulate(
 
 
 def check_geometry(geometry: Geometry, quantity: str) -> None:
-    """Reject an impossible geometry.
-
-    Raises
-    ------
-    ParameterError
-        The message names the field and its value.
-    """
+    """Raise a `ParameterError` that names the field and its value if a geometry is impossible."""
     length, mass, at, width, pickup = map(float, geometry)
     if not 1e-3 <= length <= 100:
         raise ParameterError(f"length={length} m must be from 0.001 to 100")

@@ -13,7 +13,7 @@ from ..analysis import law_frequency
 from ..dsp.loudness import audible_floor, mel_edges, mel_power
 from ..io.number_format import counted, number
 from ..modal_response import partial_band
-from ..model.decay import decays_and_beats
+from ..model.modal_response import decays_and_beats
 from ..result import Result
 from ..schema.modal_response import FittedModalResponse, RenderModel
 from .drawing import FITTED, HEIGHT, INITIAL, LINES, make_figure, panel, span

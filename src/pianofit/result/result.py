@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .. import deferred
 from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import FeltLaw
@@ -239,9 +240,7 @@ class Result:
 
         Each takes Axes and a `label`, so that two results can share a figure, and returns the Axes.
         """
-        from ..report.plots import Plots
-
-        return Plots(self)
+        return deferred.call("report.plots", "Plots", self)
 
     # --- export -------------------------------------------------------------------------------------------------------
 
@@ -295,9 +294,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        from ..report.save import save
-
-        return save(self, Path(folder), force=force, page=page)
+        return deferred.call("report.save", "save", self, Path(folder), force=force, page=page)
 
     def report(
         self, path: str | os.PathLike[str], *, title: str | None = None, held_out: CrossValidation | None = None
@@ -316,9 +313,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        from ..report.save import write_page
-
-        return write_page(self, Path(path), title, held_out)
+        return deferred.call("report.save", "write_page", self, Path(path), title, held_out)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:

@@ -8,6 +8,8 @@ arrays of JAX if the caller is inside the context, else of NumPy, since JAX woul
 If a function is traced, a context inside it is not sufficient: JAX applies its rules for derivatives and batches later,
 outside the context, and mixes the precisions. The caller then has to open the context. Each traced result carries a
 mark, which raises an error if it is differentiated in reverse mode outside the context.
+
+The outermost call also checks the types of its arguments by their names: a name has the same meaning in all functions.
 """
 
 from __future__ import annotations
@@ -15,8 +17,9 @@ from __future__ import annotations
 import functools
 import inspect
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -27,12 +30,12 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
-from ..errors import FitError, ParameterError
-from ..io.files import printable
-from ..threads import check_process
-from .arguments import check_arguments
+from .errors import FitError, ParameterError, check_type
+from .io.files import printable
+from .parameters import Geometry, String
+from .threads import check_process
 
-__all__ = ["AnyArray", "derivative", "float64", "x64_scope"]
+__all__ = ["AnyArray", "derivative", "float64", "is_numeric", "x64_scope"]
 
 # Arrays of JAX, traced ones included, or of NumPy.
 AnyArray = Array | np.ndarray
@@ -107,7 +110,7 @@ def float64(function: Callable[P, R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         outside, outermost = not _is_x64(), not getattr(_now, "inside", False)
         if outermost:
-            check_arguments(signature, args, kwargs)
+            _check_arguments(signature, args, kwargs)
         if outside:
             _reject_traced((args, kwargs), function.__name__)
         with x64_scope():
@@ -186,3 +189,60 @@ def _to_float64(x: Any) -> Any:
     if jnp.issubdtype(x.dtype, jnp.floating):
         return x if x.dtype == np.float64 else x.astype(np.float64)
     return x.astype(np.complex128) if x.dtype == np.complex64 else x
+
+
+def is_numeric(value: Any) -> bool:
+    """Return true for a number, and for an array or a tracer of numbers."""
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return np.issubdtype(value.dtype, np.number)
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray | jax.Array) and is_numeric(value)
+
+
+def _is_scalar(value: Any) -> bool:
+    return is_numeric(value) and np.ndim(value) == 0
+
+
+def _is_whole(value: Any, least: int = 1) -> bool:
+    if isinstance(value, jax.Array):
+        return np.issubdtype(value.dtype, np.integer)
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+
+
+def _is_tuple_of(*fields: str, kind: type = tuple) -> Callable[[Any], bool]:
+    """Return a test for named tuples of a `kind` that have at least these `fields` and hold only numbers."""
+    return lambda value: (
+        isinstance(value, kind) and {*fields} <= {*getattr(value, "_fields", ())} and all(map(is_numeric, value))
+    )
+
+
+# For the names of arguments: a test of the value, and the requirement in words.
+KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "string": (_is_tuple_of(kind=String), "a String of numbers"),
+    "geometry": (_is_tuple_of(kind=Geometry), "a Geometry of numbers"),
+    "hammer": (_is_tuple_of("v_H0"), "a Hammer, a RelaxingHammer or a hammer of a FeltLaw, of numbers"),
+    "modes": (_is_tuple_of("omega2", "pole"), "a table of modes, as mode_table returns it"),
+    "free": (_is_tuple_of("amplitude", "energy"), "a free motion, as pluck returns it"),
+    "sigma": (is_numeric, "a number"),
+    "samples": (lambda value: _is_whole(value, 0), "a whole number from 0"),
+    **dict.fromkeys(("rate", "length", "force"), (_is_scalar, "a number")),
+    **dict.fromkeys(("drive", "frequency", "strike_weights"), (_is_array, "an array of numbers")),
+    **dict.fromkeys(("n_modes", "steps", "oversampling"), (_is_whole, "a whole number above 0")),
+    **dict.fromkeys(("quantity", "kind"), (lambda value: isinstance(value, str), "a string")),
+}
+
+
+def _check_arguments(signature: inspect.Signature, args: tuple, kwargs: Mapping[str, Any]) -> None:
+    """Raise a `ParameterError` for an argument of the wrong type. None is allowed where it is the default."""
+    try:
+        given = signature.bind(*args, **kwargs).arguments
+    except TypeError:  # wrong number of arguments: the call itself raises
+        return
+    for name, value in given.items():
+        is_valid, requirement = KINDS.get(name, (lambda _: True, ""))
+        is_default = value is None and signature.parameters[name].default is None
+        if not (is_default or is_valid(value)):
+            check_type(f"{name}=", value, (), requirement)

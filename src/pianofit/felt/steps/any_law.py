@@ -1,4 +1,4 @@
-"""One step of a felt law that is given by its force alone and does not relax.
+"""One step of a felt law that is given by its force alone and does not relax, and the test of its passivity.
 
 The equation of the step is the same for every law, R(u) = u + C F(u, w(u)) - upper = 0, with w = (u - u_old)/a - w_old.
 Only the value of F is given, and its slope follows by differentiation. F must not fall as u rises, so R rises. The root
@@ -11,24 +11,27 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
-from ...felt import law_of
-from ..x64 import derivative
+from ...errors import ParameterError
+from ...x64 import derivative, float64
 
-__all__ = ["felt_force", "residual", "root"]
+__all__ = ["check_passive", "felt_force", "residual", "root"]
 
 # Limit of iterations: bisection alone takes some 60 to rounding.
 MAX_ITERATIONS = 200
 # Relative change of u after which the next Newton iteration would only change rounding.
 TOLERANCE = 1e-9
+# Points at which passivity is tested: compressions, m, and their speeds, m/s. The same tolerance is for rounding.
+TESTED_U = np.geomspace(1e-6, 2e-3, 25)
+TESTED_W = np.array([-5.0, -1.0, -0.2, 0.2, 1.0, 5.0])
 
 
 def felt_force(u: Array, w: Array, hammer: Any, *_: Any) -> Array:
     """Felt force, N; 0 without contact."""
-    pressed = u > 0
-    push = law_of(hammer).force(jnp.where(pressed, u, 1.0), w, hammer)
-    return jnp.where(pressed, jnp.maximum(push, 0.0), 0.0)
+    push = hammer.law.force(jnp.where(u > 0, u, 1.0), w, hammer)
+    return jnp.where(u > 0, jnp.maximum(push, 0.0), 0.0)
 
 
 def residual(u, *rest):
@@ -73,3 +76,25 @@ def _root_jvp(rest, tangents):
     _, slope = residual(u, *rest)
     _, change = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
     return u, -change / slope
+
+
+@float64
+def check_passive(hammer: Any) -> None:
+    """Reject a hammer whose felt returns more energy than the storage function of its law allows.
+
+    Raises
+    ------
+    ParameterError
+        The message names the law and a point where this happens.
+    """
+    u, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(TESTED_U, TESTED_W))
+    stored = jax.vmap(jax.grad(lambda x: jnp.asarray(hammer.law.storage(x, hammer), float)))(u)
+    push = felt_force(u, w, hammer)
+    excess = np.asarray((stored - push) * w)
+    worst = int(np.argmax(excess))
+    if excess[worst] > TOLERANCE * float(abs(push[worst] * w[worst])):
+        raise ParameterError(
+            f"felt law {hammer.law.name}: at u={float(u[worst]):.2g} m and u̇={float(w[worst]):g} m/s the felt returns "
+            "more energy than it stores; the force must not be below the slope of storage during compression, "
+            "and not above it during release"
+        )

@@ -2,9 +2,8 @@
 
     F = K_H [u^p (1 + μ u̇) - ε c], never below 0,     τ ċ = u^p - c
 
-Without μ and ε this is the power law (Ghosh). With μ it is the law of Hunt and Crossley, which the paper uses. With ε
-it is the law of Stulov, K_H [u^p - (ε/τ) ∫ u^p exp(-(t - s)/τ) ds]. Its stiffness is K_H in a sudden compression and
-K_H (1 - ε) in a slow one. u^p is assumed linear in time over a step. Then c has a closed form at any τ,
+Without μ and ε this is the power law (Ghosh), with μ the law of Hunt and Crossley, which the paper uses, and with ε
+the law of Stulov. u^p is assumed linear in time over a step. Then c has a closed form at any τ,
 
     c_n = k c_(n-1) + w0 a_(n-1) + w1 a_n,     a = u^p, 0 when apart,     k = exp(-δt/τ),     k + w0 + w1 = 1
 
@@ -23,11 +22,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...felt import RelaxingHammer
 from ...parameters import Hammer
-from ..x64 import AnyArray, derivative, float64
+from ...x64 import AnyArray, derivative, float64
+from ..relaxing import RelaxingHammer
 
-__all__ = ["Weights", "felt_force", "memory_weights", "update_relaxation", "residual", "root"]
+__all__ = ["Weights", "felt_force", "memory_weights", "residual", "root", "update_relaxation"]
 
 # Limit of iterations. From the worst start (p = 5) each reduces the error by a fifth until convergence is quadratic.
 MAX_ITERATIONS = 200
@@ -45,10 +44,7 @@ class Weights(NamedTuple):
 
 
 def felt_force(u: Array, w: Array, hammer: Hammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
-    """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
-
-    For a relaxing felt, c is `memory`, m^p, plus `share` times u^p.
-    """
+    """Felt force, N; for a relaxing felt, c is `memory`, m^p, plus `share` times u^p."""
     pressed = jnp.where(u > 0, u, 1.0)
     if not isinstance(hammer, RelaxingHammer):
         return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)

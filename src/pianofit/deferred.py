@@ -1,0 +1,40 @@
+"""Calls of a higher room by methods of public types, such as `Note.play` and `Result.report`.
+
+Rooms import in one direction: a page imports the result that it shows. A method of the result that writes the page
+would be an import in the other direction. It calls by name here, and the table names all such calls.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__all__ = ["TARGETS", "call"]
+
+# The functions and classes that may be called, by module.
+TARGETS = {
+    "web.widget": ("widget",),
+    "report.plots": ("Plots",),
+    "report.save": ("save", "write_page"),
+}
+
+
+def call(module: str, name: str, *args: Any, **kwargs: Any) -> Any:
+    """Import a module of this package and call a function or class of it.
+
+    Parameters
+    ----------
+    module, name : an entry of `TARGETS`.
+
+    Returns
+    -------
+    The result of the call.
+
+    Raises
+    ------
+    LookupError
+        If `TARGETS` does not have the entry.
+    """
+    if name not in TARGETS[module]:
+        raise LookupError(f"{module}.{name} is not in TARGETS")
+    return getattr(import_module(f".{module}", __package__), name)(*args, **kwargs)
