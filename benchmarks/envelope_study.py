@@ -51,7 +51,7 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
         return *realism.envelopes(recorded, played, left, tool), tool.logmel(recorded, played)[0]
 
     def predict(ringing) -> tuple[float, float, float]:
-        return compare(realism.sound(note._replace(ringing=ringing), left, tool), lag)
+        return compare(realism.sound(note._replace(modal_response=ringing), left, tool), lag)
 
     recordings = [fit.recordings[out], *(layer.recording for layer in layers.fitted)]
     analyses = [fit.analyses[out], *(layer.analysis for layer in layers.fitted)]
@@ -63,7 +63,7 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     up, down = tool.RATE // divisor, aligned.rate // divisor
     own = signal.resample_poly(synthesise(modes, aligned)[0].mean(axis=0), up, down)
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
-    ringing = note.ringing
+    ringing = note.modal_response
     assert ringing is not None  # noqa: S101
     rows = [ringing, ringing._replace(velocity_gain=None), response.response]
     return dict(zip(COLUMNS, [*map(predict, rows), compare(own, 0.0)], strict=True))

@@ -195,7 +195,7 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
     from pianofit.schema.decode import builtins_of
     from pianofit.schema.modal_response import FittedModalResponse, Knock, ModalResponseEntry, encode_knock
 
-    response = ringing_note(60).ringing
+    response = ringing_note(60).modal_response
     assert response is not None  # noqa: S101
     entry, embedded = (ModalResponseEntry.of(response, embed_knock=embed) for embed in (False, True))
     wav = Knock(1.0, response.rate, wav=base64.b64encode(encode_wav(response.knock, response.rate)).decode())

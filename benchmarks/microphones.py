@@ -79,7 +79,8 @@ def compared(pair: tuple[Heard, Heard], note: str) -> dict:
     rows = {}
     for name in STRING:
         a, b = one.parameters[name], other.parameters[name]
-        reach = np.hypot(*(np.log(p.interval[1] / p.interval[0]) / 2 for p in (a, b)))
+        ends = [p.interval or (np.nan, np.nan) for p in (a, b)]
+        reach = np.hypot(*(np.log(high / low) / 2 for low, high in ends))
         rows[name] = {
             "values": [a.value, b.value],
             "intervals": [a.interval, b.interval],

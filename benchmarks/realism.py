@@ -148,7 +148,8 @@ def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> Le
     recording, analysis = recordings[out], analyses[out]
     others, partials = [x.recording for x in result.recordings], analysis.partials
     left = LeftOut(
-        lambda: played._replace(ringing=modal_response_of(result)), played.strike(recording.rate), recording.rate,
+        lambda: played._replace(modal_response=modal_response_of(result)),
+        played.strike(recording.rate), recording.rate,
         noise(others, analysis.f0, recording.rate), tool.load(recording.path),
         partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
@@ -232,14 +233,14 @@ def low(recorded: np.ndarray, played: np.ndarray, f0: float, tool: ModuleType) -
 def rungs(left: LeftOut, tool: ModuleType) -> dict:
     """Distances of the layer that was left out, by what it is made of."""
     note = left.note()
-    knockless = note._replace(ringing=note.ringing and note.ringing.without_knock())
+    knockless = note._replace(modal_response=note.modal_response and note.modal_response.without_knock())
     return {
-        "string model": distances(sound(note._replace(ringing=None), left, tool), left, tool),
+        "string model": distances(sound(note._replace(modal_response=None), left, tool), left, tool),
         "modes": distances(sound(knockless, left, tool), left, tool),
         "modes and knock": distances(sound(note, left, tool), left, tool),
         "nearest layer": left.near,
         "and noise": distances(sound(note, left, tool, beside=1.0), left, tool),
-        "modes_count": 0 if note.ringing is None else len(note.ringing.pole),
+        "modes_count": 0 if note.modal_response is None else len(note.modal_response.pole),
     }
 
 

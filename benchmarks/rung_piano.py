@@ -62,7 +62,7 @@ def rung(midi: int) -> Note:
     away = WANDER * (random.normal(size=(len(STROKES), len(number), 2)) @ np.array([1.0, 1j]))
     part = VelocityGain(STROKES, 1 + np.cumsum(away, axis=0))
     ringing = ModalResponse(number, pole, np.full(len(number), 0.01), pattern, _knock(random), RATE, part)
-    return note._replace(ringing=ringing)
+    return note._replace(modal_response=ringing)
 
 
 def _knock(random: np.random.Generator) -> np.ndarray:

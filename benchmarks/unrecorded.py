@@ -55,7 +55,7 @@ def main() -> None:
     for left in keys[1:-1]:
         rest = build_instrument([key for key in keys if key is not left])
         note, own = rest.keys[left.midi].note, whole.keys[left.midi].note
-        rows = [distances(x, left) for x in (note._replace(ringing=None), note, own)]
+        rows = [distances(x, left) for x in (note._replace(modal_response=None), note, own)]
         name = Path(left.summary.file).parent.name
         found[name] = dict(zip(("law", "by neighbours", "own fit"), rows, strict=True))
         cells = [f"{row['distance']:.2f} ({row['attack']:.2f})" for row in rows]

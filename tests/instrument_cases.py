@@ -85,7 +85,7 @@ def rung(midi: int, partials: int = 10) -> Note:
     knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
     part = VelocityGain(np.array([0.5, 4.0]), np.array([[1.0], [1.3 + 0.2j]]) * np.ones(2 * partials))
     ringing = ModalResponse(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE, part)
-    return note._replace(ringing=ringing)
+    return note._replace(modal_response=ringing)
 
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:

@@ -117,4 +117,4 @@ def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
     factor = 1 + 0.2 * (random.normal(size=(3, len(k))) + 1j * random.normal(size=(3, len(k))))
     part = VelocityGain(np.array([0.5, 1.5, 4.0]), factor)
     ringing = ModalResponse(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate, part)
-    return note._replace(gain=1.5, ringing=ringing)
+    return note._replace(gain=1.5, modal_response=ringing)

@@ -124,7 +124,9 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
         stereo = np.stack([fitted, 0.5 * np.roll(fitted, 9)])
         pole = -decay + 2j * np.pi * frequency
         response = ModalResponse(k, pole, np.full(count, 0.1), np.ones((2, count), complex), np.zeros((2, 0)), rate)
-        ringing = RenderedFit(note._replace(ringing=response), stereo.mean(axis=0), loops[1], level_fitted, stereo)
+        ringing = RenderedFit(
+            note._replace(modal_response=response), stereo.mean(axis=0), loops[1], level_fitted, stereo
+        )
     criterion, errors = Criterion({}, (), 30.0, ()), LevelErrors(9.0, 1.0, None, count)
     return FittedRecording(*sounds, level, recording, analysis, criterion, errors, ringing)
 

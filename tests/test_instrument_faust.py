@@ -28,13 +28,13 @@ OWN, ONE, LAW = 50, 55, 67  # ONE has one measured stroke
 def piano() -> Instrument:
     """Two keys with modal responses in two channels, and one string model with an output path in one channel."""
     note = rung(OWN)
-    assert note.ringing is not None
-    short = note._replace(ringing=note.ringing._replace(knock=note.ringing.knock[:, :2_000]))
+    assert note.modal_response is not None
+    short = note._replace(modal_response=note.modal_response._replace(knock=note.modal_response.knock[:, :2_000]))
     one = rung(ONE)
-    assert one.ringing is not None
-    assert one.ringing.velocity_gain is not None
-    part = VelocityGain(np.array([1.0]), one.ringing.velocity_gain.factor[1:])
-    one = one._replace(ringing=one.ringing._replace(velocity_gain=part).without_knock())
+    assert one.modal_response is not None
+    assert one.modal_response.velocity_gain is not None
+    part = VelocityGain(np.array([1.0]), one.modal_response.velocity_gain.factor[1:])
+    one = one._replace(modal_response=one.modal_response._replace(velocity_gain=part).without_knock())
     notes = {OWN: short, ONE: one, LAW: true_note(LAW)}
     return piano_of(notes, recorded=(OWN, ONE), name='a "piano"\n')
 
@@ -111,7 +111,7 @@ def test_every_partial_has_renders_level(program, player, key, velocity):
 
 def test_strokes_beyond_those_known_are_beyond(program):
     """The preceding test relies on velocities outside the measured strokes."""
-    ringing = piano().keys[OWN].note.ringing
+    ringing = piano().keys[OWN].note.modal_response
     assert ringing is not None
     assert ringing.velocity_gain is not None
     slowest, fastest = ringing.velocity_gain.velocity[[0, -1]]

@@ -55,7 +55,7 @@ def rung_note(midi: int) -> Note:
     pattern = random.normal(size=(2, len(pole))) + 1j * random.normal(size=(2, len(pole)))
     knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_500)
     rung = ModalResponse(number, pole, np.zeros(len(pole)), pattern * 100, knock * 20, 44_100)
-    return note._replace(ringing=rung)
+    return note._replace(modal_response=rung)
 
 
 def stroke_and_ring(string: StringVoice, velocity: float, samples: int) -> np.ndarray:
@@ -110,8 +110,8 @@ def test_what_rings_is_linear_in_the_forces():
     """The sound of a restrike is the sum of the responses of modes and knock to both forces."""
     note, forces = rung_note(45), []
     string = StringVoice(note, 45, RATE)
-    strike_response = string.ringing.strike_response
-    string.ringing = SimpleNamespace(
+    strike_response = string.modal_response.strike_response
+    string.modal_response = SimpleNamespace(
         strike_response=lambda force, end: forces.append(force) or strike_response(force, end)
     )
     between = round(0.05 * RATE)
@@ -119,7 +119,7 @@ def test_what_rings_is_linear_in_the_forces():
     sound[:, :between] = stroke_and_ring(string, 2.0, between)
     sound[:, between:] = stroke_and_ring(string, 1.0, RATE - between)
     expected = sum(
-        np.pad(note.gain * note.ringing.sound(force, RATE, RATE - at), ((0, 0), (at, 0)))
+        np.pad(note.gain * note.modal_response.sound(force, RATE, RATE - at), ((0, 0), (at, 0)))
         for force, at in zip(forces, (0, between), strict=True)
     )
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()

@@ -28,9 +28,9 @@ def folder(tmp_path_factory):
     """Fits of D3, with a modal response, and of G5, without."""
     place = tmp_path_factory.mktemp("fits")
     note = rung(50)
-    fitted = builtins_of(FittedModalResponse(response=ModalResponseEntry.of(note.ringing)))
+    fitted = builtins_of(FittedModalResponse(response=ModalResponseEntry.of(note.modal_response)))
     file = write_fit(place, 50, fit_document(note, ERRORS) | {"modal_response": fitted})
-    (file.parent / "knock.flac").write_bytes(encode_knock(note.ringing))
+    (file.parent / "knock.flac").write_bytes(encode_knock(note.modal_response))
     write_fit(place, 79, fit_document(true_note(79), ERRORS))
     return place
 
@@ -63,24 +63,24 @@ def test_keys_within_reach_borrow_and_others_ring_by_their_law(folder, file):
     built, read = (load_instrument(path).keys for path in (folder, file))
     for keys in (built, read):
         within = {*range(50 - REACH, 50 + REACH + 1)}
-        assert {midi for midi, key in keys.items() if key.note.ringing is not None} == within
-        assert keys[79].note.ringing is None
+        assert {midi for midi, key in keys.items() if key.note.modal_response is not None} == within
+        assert keys[79].note.modal_response is None
         assert keys[51].note.pre_onset_s > 0
-    own, again = built[52].note.ringing, read[52].note.ringing
+    own, again = built[52].note.modal_response, read[52].note.modal_response
     assert own.pole == pytest.approx(again.pole, rel=1e-12)
     assert own.pattern == pytest.approx(again.pattern, rel=1e-12)
 
 
 def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
     own, donor = true_note(52), rung(50)
-    found = interpolate_keys({50: donor, 52: own}, [52])[52].ringing
+    found = interpolate_keys({50: donor, 52: own}, [52])[52].modal_response
     law = own.string.b1 + own.string.b2 * (np.arange(1, 11) * np.pi / own.geometry.length) ** 2
     frequency = mode_frequencies(own.string, own.geometry.length, 10)
     times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of the inverse decay rate of the string model
     ratio, part = np.array(PARTS).T
     truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # without beating
     for k in range(1, 9):
-        at = found.number == k
+        at = found.partial == k
         assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(frequency[k - 1], rel=1e-9)
         parts = np.exp(np.outer(times, np.real(found.pole[at]) / law[k - 1]))
         curve = 20 * np.log10(np.abs(parts @ found.pattern[0, at]))
@@ -89,11 +89,11 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
     # Its energy on the damped circle, in the mean of the channels, against a stroke of the string model, which other
     # code computes.
     bare, sigma = own._replace(path=None), 30.0
-    borrowed = interpolate_keys({50: donor, 52: bare}, [52])[52].ringing
+    borrowed = interpolate_keys({50: donor, 52: bare}, [52])[52].modal_response
     alone, stroke = bare.render_stroke(RATE, 2 * RATE)
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
-        at = borrowed.number == k
+        at = borrowed.partial == k
         drive = force_pulse(stroke, float(bare.hammer.v_H0)).drive(borrowed.pole[at])
         part = np.abs(borrowed.pattern[:, at].mean(axis=0) * drive) * bare.gain
         envelope = np.exp(np.outer(seconds, np.real(borrowed.pole[at]))) @ part

@@ -76,16 +76,16 @@ def test_a_key_with_its_own_ringing_sounds_as_the_model_does(midi, velocity):
 def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(strokes, velocity):
     """Below the slowest stroke, at it, and above the fastest; also with a single stroke."""
     note = ringing_note(52)
-    assert note.ringing is not None
-    part = note.ringing.velocity_gain
+    assert note.modal_response is not None
+    part = note.modal_response.velocity_gain
     assert part is not None
     assert 0.2 < part.velocity[0] == 0.5 < part.velocity[-1] < 8.0
     part = VelocityGain(part.velocity[strokes], part.factor[strokes])
-    note = note._replace(ringing=note.ringing._replace(velocity_gain=part))
+    note = note._replace(modal_response=note.modal_response._replace(velocity_gain=part))
     (sound,) = play([job(encode_note(note, 52), struck(velocity))])
     expected = note.render(velocity, seconds=1.0, rate=RATE, mono=False)
     assert error_db(sound[:, early(note) :], expected) < WITHIN
-    without = note._replace(ringing=note.ringing._replace(velocity_gain=None))
+    without = note._replace(modal_response=note.modal_response._replace(velocity_gain=None))
     assert error_db(expected, without.render(velocity, seconds=1.0, rate=RATE, mono=False)) > -40
 
 
@@ -145,7 +145,7 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
     With an output path the dampers of the page are approximate, because the gain is that at the pole of the free mode.
     """
     notes = {k: true_note(k)._replace(gain=1e-3) for k in (45, 52, 60, 64)}
-    notes |= {k: uneven_note(k)._replace(gain=1.0, ringing=ringing_note(k).ringing) for k in (52, 64)}
+    notes |= {k: uneven_note(k)._replace(gain=1.0, modal_response=ringing_note(k).modal_response) for k in (52, 64)}
     piano, random, at = piano_of(notes), np.random.default_rng(3), BLOCK / RATE
     keys = {k: [] for k in notes}
     events = [[0, "setPedal", False], [500, "setPedal", True], [900, "setPedal", False]]
@@ -287,12 +287,14 @@ def test_changes_of_the_string_move_measured_partials_with_it():
     f0, count = note.string.c / (2 * note.geometry.length), 12
     stiffer = note.string._replace(kappa=note.string.kappa * np.sqrt(3))
     before, after = (mode_frequencies(s, note.geometry.length, count) for s in (note.string, stiffer))
-    ringing = ringing_note(52, channels=1).ringing
+    ringing = ringing_note(52, channels=1).modal_response
     pattern = np.zeros((1, 2), complex)
     pattern[0, 0] = 1.0
-    one = ringing._replace(number=np.array([count, 1]), pole=-0.01 + 2j * np.pi * np.array([before[-1], f0]),
+    one = ringing._replace(partial=np.array([count, 1]), pole=-0.01 + 2j * np.pi * np.array([before[-1], f0]),
                            pattern=pattern, knock=ringing.knock[:, :0])  # fmt: skip
-    (sound,) = play([job(encode_note(note._replace(ringing=one), 52), struck(2.0), changes={"inharmonicity": 3.0})])
+    (sound,) = play(
+        [job(encode_note(note._replace(modal_response=one), 52), struck(2.0), changes={"inharmonicity": 3.0})]
+    )
     spectrum = np.abs(np.fft.rfft(sound[0] * np.hanning(sound.shape[-1])))
     assert np.argmax(spectrum) * RATE / sound.shape[-1] == pytest.approx(after[-1], abs=1.0)
     assert after[-1] > 1.01 * before[-1]
@@ -315,10 +317,12 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
 
 def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
     note = ringing_note(60, channels=1)
-    assert note.ringing is not None
-    knock = np.zeros_like(note.ringing.knock)
+    assert note.modal_response is not None
+    knock = np.zeros_like(note.modal_response.knock)
     knock[0, 600:900] = np.hanning(300)  # below 1 kHz
-    note = note._replace(ringing=note.ringing._replace(pattern=0 * note.ringing.pattern, knock=40 * knock))
+    note = note._replace(
+        modal_response=note.modal_response._replace(pattern=0 * note.modal_response.pattern, knock=40 * knock)
+    )
     kept = KnockEncoding(44_100, 16), KnockEncoding(8000, 8)
     best, least = (x[:, early(note) :] for x in play([job(encode_note(note, 60, how), struck(3.0)) for how in kept]))
     assert error_db(best, note.render(3.0, seconds=1.0, rate=RATE, mono=False)) < WITHIN

@@ -121,7 +121,7 @@ def test_what_holds_arrays_is_shown_in_a_few_lines():
     part = VelocityGain(np.arange(1.0, 9.0), np.ones((8, 900), complex))
     own = np.zeros((2, 900))
     ringing = ModalResponse(np.ones(900, int), own[0] + 0j, own.T, own + 0j, np.zeros((2, 44_100)), 44_100, part)
-    note = true_note(60)._replace(path=path, ringing=ringing)
+    note = true_note(60)._replace(path=path, modal_response=ringing)
     shown = repr(note)
     assert len(shown) < 1000
     assert shown.count("\n") < 12

@@ -34,13 +34,13 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
     recorded, string = sound(seconds, DECAY), SimpleNamespace(samples=sound(seconds, 2 * DECAY))
     played = SimpleNamespace(samples=sound(seconds, DECAY, 2.0)) if rings else None
     fitted = SimpleNamespace(
-        recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=string, ringing=played,
+        recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=string, with_modes=played,
         final=played or string, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
     )  # fmt: skip
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
     ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
     result = SimpleNamespace(
-        reference=fitted, note=SimpleNamespace(ringing=ringing if rings else None),
+        reference=fitted, note=SimpleNamespace(modal_response=ringing if rings else None),
         analysis=SimpleNamespace(f0=F0, B=0.0),
     )  # fmt: skip
     result.with_recordings = lambda: result
@@ -79,7 +79,7 @@ def test_levels_over_time_and_frequency_are_where_the_partials_are():
 
 def test_decays_are_those_of_the_modes():
     result = fake_result()
-    np.testing.assert_allclose([one.early for one in decays_and_beats(result.note.ringing)], np.log(1e3) / DECAY)
+    np.testing.assert_allclose([one.early for one in decays_and_beats(result.note.modal_response)], np.log(1e3) / DECAY)
     assert [row[0] for row in decay_rows(result)] == [str(k) for k in NUMBER]
     assert [float(row[3]) for row in decay_rows(result)] == pytest.approx(np.log(1e3) / DECAY, rel=0.05)
 

@@ -146,7 +146,7 @@ def _column(name: str, keys: Sequence[KeyFit], values: np.ndarray, base: np.ndar
 
 def _keeps_fit(key: KeyFit, name: str) -> bool:
     """Return True if a key keeps its own value. Its modes and knock were measured with its own force."""
-    return LAW_QUANTITIES[name].keeps_fit or key.note.ringing is not None
+    return LAW_QUANTITIES[name].keeps_fit or key.note.modal_response is not None
 
 
 def _key(
@@ -166,7 +166,7 @@ def _key(
         return Key(note._replace(path=paths(midi)), state, values, is_interpolated=True)
     own, states = keys[j].note, {columns[name].state[j] for name in columns if not LAW_QUANTITIES[name].keeps_fit}
     worst: ValueState = next(state for state in WORST_FIRST if state in states)
-    return Key(note._replace(path=own.path, ringing=own.ringing), worst, values, keys[j].summary)
+    return Key(note._replace(path=own.path, modal_response=own.modal_response), worst, values, keys[j].summary)
 
 
 def _value(name: str, column: _Column, i: int, j: int | None) -> KeyValue:

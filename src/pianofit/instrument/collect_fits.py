@@ -176,7 +176,7 @@ def _load_key(file: Path) -> KeyFit:
     # The law is in log μ, so a felt without loss gets the smallest allowed μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
-    response = None if note.ringing is None else note.ringing.scale_velocity(scale)
+    response = None if note.modal_response is None else note.modal_response.scale_velocity(scale)
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(
         file=name,
@@ -187,7 +187,7 @@ def _load_key(file: Path) -> KeyFit:
         layers=_layers(fit, scale),
         partials=() if response is None else partial_decays(response),
     )
-    scaled = note._replace(hammer=hammer, gain=gain / scale, path=path, ringing=response)
+    scaled = note._replace(hammer=hammer, gain=gain / scale, path=path, modal_response=response)
     return KeyFit(midi, scaled, _deviations(fit, note, midi, scale), summary)
 
 

@@ -104,7 +104,7 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
 
 
 def _entry(midi: int, key: Key) -> KeyEntry:
-    hammer, path, response = key.note.hammer, key.note.path, key.note.ringing
+    hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
     modal_response = "neighbours" if key.is_interpolated else None
     if response is not None and not key.is_interpolated:
         modal_response = ModalResponseEntry.of(response, embed_knock=True)

@@ -90,7 +90,9 @@ class Instrument:
     @property
     def channels(self) -> int:
         """Number of channels: the largest of all keys."""
-        return max(1 if key.note.ringing is None else key.note.ringing.channels for key in self.keys.values())
+        return max(
+            1 if key.note.modal_response is None else key.note.modal_response.channels for key in self.keys.values()
+        )
 
     @property
     def pre_onset_s(self) -> float:

@@ -76,7 +76,7 @@ def with_interpolated_responses(keys: Mapping[int, Key]) -> dict[int, Key]:
 
 def interpolate_keys(notes: Mapping[int, Note], wanted: Iterable[int]) -> dict[int, Note]:
     """The wanted keys by MIDI number, with modal responses from the nearest keys that have one."""
-    recorded = {midi: note.ringing for midi, note in notes.items() if note.ringing is not None}
+    recorded = {midi: note.modal_response for midi, note in notes.items() if note.modal_response is not None}
     donors: dict[int, _DonorKey] = {}
     found = {}
     for midi in wanted:
@@ -84,7 +84,9 @@ def interpolate_keys(notes: Mapping[int, Note], wanted: Iterable[int]) -> dict[i
         if near is not None and abs(near - midi) <= REACH:
             if near not in donors:
                 donors[near] = _donor(recorded[near], _string_partials(notes[near]))
-            found[midi] = notes[midi]._replace(ringing=_transfer_response(_string_partials(notes[midi]), donors[near]))
+            found[midi] = notes[midi]._replace(
+                modal_response=_transfer_response(_string_partials(notes[midi]), donors[near])
+            )
     return found
 
 
@@ -103,11 +105,11 @@ def _string_partials(note: Note) -> _StringPartials:
 
 
 def _donor(ringing: ModalResponse, string: _StringPartials) -> _DonorKey:
-    numbers = np.unique(ringing.number)
+    numbers = np.unique(ringing.partial)
     numbers = numbers[(numbers > 0) & (numbers <= MOST_PARTIALS)]
     curves, phase = [], []
     for number in numbers:
-        modes = ringing.number == number
+        modes = ringing.partial == number
         pattern, ratio = ringing.pattern[:, modes], -np.real(ringing.pole[modes]) / string.decay[number - 1]
         power = (np.abs(pattern) ** 2).mean(axis=0) @ np.exp(-2 * np.outer(ratio, TIMES))
         curves.append(10 * np.log10(np.maximum(power / power[0], 1e-30)))

@@ -150,8 +150,8 @@ def _attached(
     ringing = response.response if model == RENDER_MODELS[-1] else response.response.without_knock()
     recordings, best = list(result.recordings), list(result.minima_notes[0])
     for place, late in zip(layers.place, response.delay, strict=True):
-        best[place] = best[place]._replace(ringing=ringing)
-        recordings[place] = recordings[place].ringing_by(ringing, float(late))
+        best[place] = best[place]._replace(modal_response=ringing)
+        recordings[place] = recordings[place].add_modal_response(ringing, float(late))
     chosen = dataclasses.replace(chosen, response=ModalResponseEntry.of(ringing))
     return dataclasses.replace(
         result,

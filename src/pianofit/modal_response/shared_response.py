@@ -73,7 +73,7 @@ def estimate_shared_response(
     at_contact = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]
     patterns = _patterns(modes, at_contact, drive, weight)
     response = ModalResponse(
-        number=np.concatenate([np.full(len(m.pole), m.number) for m in modes]),
+        partial=np.concatenate([np.full(len(m.pole), m.number) for m in modes]),
         pole=np.concatenate([m.poles for m in modes]),
         pole_error=np.concatenate([m.pole_error for m in modes]),
         pattern=np.concatenate(patterns, axis=-1),

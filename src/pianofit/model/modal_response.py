@@ -120,7 +120,7 @@ class VelocityGain(NamedTuple):
 class ModalResponse(NamedTuple):
     """Response of a key from the force on its strings to the file: modes and knock."""
 
-    number: np.ndarray  # partial of each mode, int [modes]
+    partial: np.ndarray  # partial of each mode, int [modes]
     pole: np.ndarray  # 1/s, complex [modes]
     pole_error: np.ndarray  # standard error of real and imaginary part, 1/s [modes]
     pattern: np.ndarray  # P, file units per N s, complex [channels, modes]
@@ -156,7 +156,7 @@ class ModalResponse(NamedTuple):
     def at(self, rate: int) -> ModalResponse:
         """Return the response for files of another rate: a resampled knock, and the modes below half of `rate`."""
         below, part = np.imag(self.pole) < np.pi * rate, self.velocity_gain
-        columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
+        columns = (self.partial[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
         knock = resample(self.knock, self.rate, rate) if self.knock.shape[-1] else self.knock
         return ModalResponse(
             *columns, knock, rate, None if part is None else part._replace(factor=part.factor[:, below])
@@ -261,11 +261,11 @@ class PartialDecay(NamedTuple):
 
 def decays_and_beats(response: ModalResponse) -> list[PartialDecay]:
     """Compute decay and beating of each partial, in order, after an impulse that drives all its modes alike."""
-    return [_decay(response, int(number)) for number in np.unique(response.number)]
+    return [_decay(response, int(number)) for number in np.unique(response.partial)]
 
 
 def _decay(response: ModalResponse, number: int) -> PartialDecay:
-    chosen = response.number == number
+    chosen = response.partial == number
     pole, pattern, error = response.pole[chosen], response.pattern[:, chosen], response.pole_error[chosen]
     rate, power = -np.real(pole), np.sum(np.abs(pattern) ** 2, axis=0)
     strongest = np.argmax(power * -np.expm1(-2 * rate * LATE[1]) / rate)  # by energy up to the end of `LATE`

@@ -46,7 +46,7 @@ class Note(NamedTuple):
     quantity : measured quantity, see `mode_table`.
     gain : file units (full scale = 1) per unit of the pickup.
     path : output path, dB over frequency, in addition to the gain.
-    ringing : measured modes and knock. They render the sound in place of string and path, per unit of gain.
+    modal_response : measured modes and knock. They render the sound in place of string and path, per unit of gain.
         `levels` still uses string and path.
 
     Examples
@@ -66,7 +66,7 @@ class Note(NamedTuple):
     quantity: str
     gain: float
     path: OutputPath | None = None
-    ringing: ModalResponse | None = None
+    modal_response: ModalResponse | None = None
 
     def __repr__(self) -> str:
         return summary(self, lines=True)
@@ -95,13 +95,13 @@ class Note(NamedTuple):
         """
         check_type("cents=", cents, Real, "a number")
         ratio = 2 ** (cents / 1200)
-        ringing = None if self.ringing is None else self.ringing.scale_pitch(ratio)
-        return self._replace(string=self.string._replace(c=self.string.c * ratio), ringing=ringing)
+        modal_response = None if self.modal_response is None else self.modal_response.scale_pitch(ratio)
+        return self._replace(string=self.string._replace(c=self.string.c * ratio), modal_response=modal_response)
 
     @property
     def pre_onset_s(self) -> float:
         """Longest time from the start of the sound to the contact, s."""
-        return 0.0 if self.ringing is None else PRE_ONSET_S
+        return 0.0 if self.modal_response is None else PRE_ONSET_S
 
     def render(
         self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100, mono: bool = True
@@ -162,10 +162,12 @@ class Note(NamedTuple):
         """
         begin = touch - round(self.pre_onset_s * rate)
         count = max(samples - begin, 0)
-        if self.ringing is None:
+        if self.modal_response is None:
             sound = self._render_string_model(strike, rate, count)[None]
         else:
-            sound = self.gain * self.ringing.sound(force_pulse(strike, float(self.hammer.v_H0)), round(rate), count)
+            sound = self.gain * self.modal_response.sound(
+                force_pulse(strike, float(self.hammer.v_H0)), round(rate), count
+            )
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 
     def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
@@ -216,7 +218,7 @@ class Note(NamedTuple):
 
 jax.tree_util.register_pytree_node(
     Note,
-    lambda note: ((note.string, note.hammer, note.geometry, note.gain, note.path, note.ringing), note.quantity),
+    lambda note: ((note.string, note.hammer, note.geometry, note.gain, note.path, note.modal_response), note.quantity),
     lambda quantity, x: Note(*x[:3], quantity, *x[3:]),
 )
 

@@ -79,14 +79,16 @@ class StringVoice:
     def __init__(self, note: Note, midi: int, rate: int) -> None:
         self.note, self.midi, self.rate = note, midi, rate
         # With a measured modal response the string itself is inaudible, so the output path is not needed.
-        self.table: StringTables = string_tables(note if note.ringing is None else note._replace(path=None), rate)
+        self.table: StringTables = string_tables(
+            note if note.modal_response is None else note._replace(path=None), rate
+        )
         self.ratio = round(self.table.rate / rate)
         self.string = ModeBank(self.table.pole, self.table.pickup[None], self.table.faint, rate)
-        self.ringing, self.modes = None, self.string
-        if note.ringing is not None:
-            self.ringing = note.ringing.scale_gain(note.gain).at(rate)
-            faint = np.full(len(self.ringing.pole), AMPLITUDE_FLOOR)
-            self.modes = ModeBank(self.ringing.pole, self.ringing.pattern, faint, rate)
+        self.modal_response, self.modes = None, self.string
+        if note.modal_response is not None:
+            self.modal_response = note.modal_response.scale_gain(note.gain).at(rate)
+            faint = np.full(len(self.modal_response.pole), AMPLITUDE_FLOOR)
+            self.modes = ModeBank(self.modal_response.pole, self.modal_response.pattern, faint, rate)
         self.lead = round(note.pre_onset_s * rate)
         self.damped = False
         self._damper = damper_rate(midi)
@@ -124,7 +126,7 @@ class StringVoice:
 
     def through_path(self, sound: np.ndarray) -> np.ndarray:
         """Filter a sound of this string [channels, samples] by its output path, if any, with the filter's tail."""
-        return sound if self.ringing is not None else apply_filter(sound[0], self.table.path)[None]
+        return sound if self.modal_response is not None else apply_filter(sound[0], self.table.path)[None]
 
     @property
     def is_audible(self) -> bool:
@@ -139,7 +141,7 @@ class StringVoice:
     def _free(self, samples: int) -> np.ndarray:
         """Sound of the modes in free vibration [channels, samples]."""
         damper = self._damper if self.damped else 0.0
-        if self.ringing is not None:
+        if self.modal_response is not None:
             self.string.advance(samples, damper)
         return self.modes.ring(samples, damper)
 
@@ -150,9 +152,9 @@ class StringVoice:
 
     def _onset(self, drive: np.ndarray, force: ForcePulse, samples: int) -> np.ndarray:
         """Sound of a stroke in addition to the free modes after it, from `lead` samples before the contact on."""
-        if self.ringing is None:
+        if self.modal_response is None:
             return apply_filter(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
-        state, onset = self.ringing.strike_response(force, samples)
+        state, onset = self.modal_response.strike_response(force, samples)
         self.modes.state = self.modes.state + state
         return onset
 

@@ -83,7 +83,7 @@ def _render_model(fitted: FittedModalResponse) -> str:
 
 def decay_rows(result: Result) -> list[list[str]]:
     """Return the cells of the table of decays and beats, a row for every partial that has modes."""
-    response = result.note.ringing
+    response = result.note.modal_response
     return [
         [
             str(decay.number),
@@ -116,8 +116,8 @@ def envelopes_of(result: Result, numbers: list[int]) -> list[Envelope]:
     begin = max(onset - round(MARGIN_SECONDS * rate), 0)
     section = slice(begin, onset + round((ENVELOPE_SECONDS + MARGIN_SECONDS) * rate))
     sounds = {"measured": reference.recording.samples, "string model": reference.fitted.samples}
-    if reference.ringing is not None:
-        sounds["fitted"] = reference.ringing.samples
+    if reference.with_modes is not None:
+        sounds["fitted"] = reference.with_modes.samples
     x = np.stack([samples[section] for samples in sounds.values()])
     spectrum, count, f0, B = np.fft.rfft(x), x.shape[-1], result.analysis.f0, result.analysis.B
     envelopes = []

@@ -144,7 +144,7 @@ def _without_folders(result: Result, held_out: CrossValidation | None) -> tuple[
 def _clips(result: Result) -> list[Clip]:
     """Return the sounds of the reference recording: recorded and two of the model."""
     reference, recording = result.reference, result.recording
-    if reference.ringing is None:
+    if reference.with_modes is None:
         fitted = {"initial": result.initial.samples, "fitted": reference.sound}
     else:
         fitted = {"fitted": reference.sound, "string model": result.fitted.samples}

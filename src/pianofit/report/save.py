@@ -124,7 +124,7 @@ def _knock(result: Result) -> dict[str, bytes]:
 
     It is copied if the fit was loaded from a file, because its scale is in `fit.json`.
     """
-    response, path = result.note.ringing, result.folder and result.folder / KNOCK_FILE
+    response, path = result.note.modal_response, result.folder and result.folder / KNOCK_FILE
     if response is not None and path and path.is_file():
         return {KNOCK_FILE: read_file(path, LARGEST_SOUND, FitError)}
     return {} if response is None or not (knock := encode_knock(response)) else {KNOCK_FILE: knock}

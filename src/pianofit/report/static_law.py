@@ -15,7 +15,7 @@ import numpy as np
 
 from ..conversions import HALF_WIDTH_95
 from ..felt import law_of
-from ..model import static_force
+from ..felt.steps import static_force
 from ..result import FittedRecording, Result
 from .drawing import (
     FITTED,

@@ -39,7 +39,7 @@ class FittedRecording:
     analysis: Analysis
     criterion: Criterion
     levels: LevelErrors
-    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
+    with_modes: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
 
     def __repr__(self) -> str:
         return f"FittedRecording: {self.recording!r}, level error {self.levels.fitted_db:.2f} dB after the fit"
@@ -47,15 +47,15 @@ class FittedRecording:
     @property
     def final(self) -> RenderedFit:
         """The fitted sound: with the modal response if the fit has one, else with the string model only."""
-        return self.ringing or self.fitted
+        return self.with_modes or self.fitted
 
-    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
+    def add_modal_response(self, modal_response: ModalResponse, contact_delay: float) -> FittedRecording:
         """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
         fitted, recording = self.fitted, self.recording
-        note = fitted.note._replace(ringing=ringing)
+        note = fitted.note._replace(modal_response=modal_response)
         contact = recording.onset + round(contact_delay * recording.rate)
         frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
-        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
+        return replace(self, with_modes=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
 
     @property
     def sound(self) -> np.ndarray:

@@ -88,7 +88,7 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
     gain = float(note.gain) if record.gain_status == "given" else None
     comparison = RecordingComparison.of(recording, analysis, None if gain is None else 1.0 / gain)
     measured = comparison.levels_at_partials(stored.measured, stored.number)
-    plain = note._replace(gain=1.0, ringing=None)
+    plain = note._replace(gain=1.0, modal_response=None)
     begins = None if gain is None else comparison.contact_onset(plain)
     initial = comparison.render(initial_note(fit, record, note), gain, begins, measured)
     fitted = comparison.render(plain, float(note.gain), begins, measured)
@@ -97,7 +97,11 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
         for sound, level in ((initial, stored.initial), (fitted, stored.fitted))
     )
     compared = FittedRecording(initial, fitted, measured, recording, analysis, record.criterion, record.levels)
-    return compared if note.ringing is None else compared.ringing_by(note.ringing, _contact_delay(fit, notes, index))
+    return (
+        compared
+        if note.modal_response is None
+        else compared.add_modal_response(note.modal_response, _contact_delay(fit, notes, index))
+    )
 
 
 def _contact_delay(fit: Fit, notes: Sequence[Note], index: int) -> float:

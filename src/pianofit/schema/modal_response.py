@@ -170,7 +170,7 @@ class ModalResponseEntry:
         16 bits take half the size of 24. The quantisation error lies 80 dB or more below a note's peak.
         """
         pole, error, gain = response.pole, response.pole_error, response.velocity_gain
-        modes = ModeTable(response.number, np.imag(pole) / (2 * np.pi), -np.real(pole), error / (2 * np.pi), error)
+        modes = ModeTable(response.partial, np.imag(pole) / (2 * np.pi), -np.real(pole), error / (2 * np.pi), error)
         flac = encode_knock(response, 16) if embed_knock else None
         scale = float(np.abs(response.knock).max(initial=0.0))
         knock = None

@@ -110,7 +110,7 @@ def notes_of_minima(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | No
         return [(1.0, note)]
     notes = [_note_of_minimum(note, m, f"{name}: minima[{i}].parameters", law) for i, m in enumerate(fit.minima)]
     return [
-        (minimum.weight, other._replace(ringing=None) if index else other)
+        (minimum.weight, other._replace(modal_response=None) if index else other)
         for index, (minimum, other) in enumerate(zip(fit.minima, notes, strict=True))
     ]
 
@@ -182,7 +182,7 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
     if stroke.path_group == reference.path_group:
         return own
     path = fit.pickup.paths.get(str(stroke.path_group))
-    return own._replace(path=None if path is None else path.output_path, ringing=None)
+    return own._replace(path=None if path is None else path.output_path, modal_response=None)
 
 
 def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:

@@ -58,7 +58,7 @@ def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str
     ParameterError
         If a felt law cannot be played, or the payload exceeds `most_bytes`.
     """
-    responses = [key.note.ringing for key in instrument.keys.values()]
+    responses = [key.note.modal_response for key in instrument.keys.values()]
     rates = [response.rate for response in responses if response is not None and response.knock.size]
     size = 0
     for knocks in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
@@ -141,8 +141,8 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
     }
     entry |= {"quantity": note.quantity, "gain": float(note.gain)}
     entry |= {"damper": damper_rate(midi), "compression": reference_compression(midi)}
-    if note.ringing is not None:
-        entry["modal_response"] = _modal_response(note.ringing.scale_gain(float(note.gain)), knocks)
+    if note.modal_response is not None:
+        entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knocks)
     elif note.path is not None:
         f = note.path.frequency
         entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db), "decay": _base64(note.path.decay_at(f))}

@@ -63,7 +63,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     recording = load_recording(layer.file)
     if recording.sha256 != layer.sha256:
         raise FitError(f"{printable(layer.file)}: is not the recording that was fitted; run pianofit batch again")
-    channels = 1 if note.ringing is None else min(note.ringing.channels, CHANNELS)
+    channels = 1 if note.modal_response is None else min(note.modal_response.channels, CHANNELS)
     samples = recording.samples[None] if channels == 1 else recording.frames[:channels]
     begin = round((layer.contact - note.pre_onset_s) * recording.rate)
     return np.pad(samples, ((0, 0), (max(-begin, 0), 0)))[:, max(begin, 0) :], recording.rate

@@ -96,7 +96,7 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     forces = []
     for hammer in hammers:
         drive, force = strike_string(table, hammer, at_rest, f"key {midi}")
-        force = force if note.ringing is not None else force._replace(force=drive)
+        force = force if note.modal_response is not None else force._replace(force=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
     force = np.stack([np.pad(x, (MARGIN, size - len(x) + MARGIN)) for x in forces])
@@ -128,8 +128,8 @@ def _modes(note: Note, table: StringTables) -> tuple[np.ndarray, np.ndarray, np.
 
     Also return the velocities of the measured strokes, m/s [strokes], and the velocity gain at them [strokes, modes].
     """
-    if note.ringing is not None:
-        response = note.ringing.scale_gain(note.gain).at(RATE)
+    if note.modal_response is not None:
+        response = note.modal_response.scale_gain(note.gain).at(RATE)
         pole, pattern, gain = response.pole, response.pattern, response.velocity_gain
     else:
         pole, pattern, gain = table.pole, table.drive[None] * table.rate, None
@@ -203,9 +203,9 @@ def _knock(
     note: Note, force: np.ndarray, velocities: Sequence[float], channels: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Knock at all velocities as factors; see `_factorise`."""
-    if note.ringing is None or not note.ringing.knock.size:
+    if note.modal_response is None or not note.modal_response.knock.size:
         return np.ones(len(force)), np.zeros((len(force), KNOCK_SHAPES)), np.zeros((channels, KNOCK_SHAPES, 0))
-    response = note.ringing.scale_gain(note.gain).at(RATE)
+    response = note.modal_response.scale_gain(note.gain).at(RATE)
     kernel = np.stack([response.attack_noise(v)[:channels] for v in velocities], axis=1)
     sound = fftconvolve(kernel, force[None] / RATE, axes=-1)[..., FILTER_REACH + MARGIN :]
     normalised = sound / np.sqrt(np.mean(sound**2, axis=(0, 2)))[:, None]
