@@ -16,6 +16,7 @@ TARGETS = {
     "web.widget": ("widget",),
     "report.plots": ("Plots",),
     "report.save": ("save", "write_page"),
+    "report.summary": ("fit_summary",),
 }
 
 

@@ -230,9 +230,7 @@ class Result:
 
     def summary(self) -> str:
         """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""
-        from ..report.summary import fit_summary
-
-        return fit_summary(self)
+        return deferred.call("report.summary", "fit_summary", self)
 
     @property
     def plot(self) -> Any:
