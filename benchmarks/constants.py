@@ -160,7 +160,6 @@ def panel() -> tuple[float, float]:
 def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...]) -> list[float]:
     """Return errors, dB, of the layers whose file names contain one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
-    from pianofit.fit_file import relative_gains
     from pianofit.inference import run_inference
     from pianofit.result import build_result
 
@@ -175,7 +174,7 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
         rest = [j for j in range(len(files)) if j != i]
         fit = build_result(run_inference([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
         notes = [(weight, parts[0]) for weight, parts in zip(fit.weights, fit.minima_notes, strict=True)]
-        errors.append(predict_recording(notes, analyses[i], gains=relative_gains(fit.document, 0)).error_db)
+        errors.append(predict_recording(notes, analyses[i], gains=fit.fit.relative_gains(0)).error_db)
     return errors
 
 

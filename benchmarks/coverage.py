@@ -67,16 +67,16 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
     from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
     from pianofit.fitting import fit
-    from pianofit.io.files import encode_wav
+    from pianofit.io.files import write_wav
 
     twin = make_synthetic_recording(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:
         sound, setup = Path(folder) / "synthetic.wav", Path(folder) / "setup.toml"
-        sound.write_bytes(encode_wav(twin.samples, twin.rate))
+        write_wav(sound, twin.samples, twin.rate)
         setup.write_text(setup_text())
         result = fit(sound, setup=setup, seed=seed, progress=False)
     cell = {"recordings": 1, "calibrated": True, "deeper": None}
-    return cell | {"rows": score(result.document, twin.true, []), "converged": result.document["converged"]}
+    return cell | {"rows": score(result.fit, twin.true, []), "converged": result.fit.converged}
 
 
 def _drawn(kind: str, seed: int) -> dict:
@@ -87,22 +87,23 @@ def _drawn(kind: str, seed: int) -> dict:
     from pianofit.errors import PianofitError
     from pianofit.inference import run_inference
     from pianofit.result import build_result
+    from pianofit.schema.decode import builtins_of
 
     twin = coverage_twins.make(kind, seed)
     about = {**twin.design._asdict(), "truth": _plain(twin)}
     try:
         analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
         fit = run_inference(twin.recordings, analyses, twin.setup, seed=seed)
-        problem, found, document = fit.problem, fit.estimate, build_result(fit).document
+        problem, found, record = fit.problem, fit.estimate, build_result(fit).fit
     except PianofitError as error:
         return about | {"refused": str(error)}
     true = coverage_twins.values_of(kind, twin.truth, problem.reference)
-    diagnostics = document["diagnostics"]
+    diagnostics = record.diagnostics
     return about | {
-        "rows": score(document, true, list(twin.truth.velocities)), "reference": problem.reference,
+        "rows": score(record, true, list(twin.truth.velocities)), "reference": problem.reference,
         "deeper": gain_from_truth(problem, found.minima, true, twin.truth.velocities),
-        "converged": document["converged"], "partials": diagnostics["partials"], "excess": diagnostics["excess"],
-        "shares": [minimum["share"] for minimum in document["minima"]], "claims": document["claims"],
+        "converged": record.converged, "partials": diagnostics.partials, "excess": builtins_of(diagnostics.excess_sd),
+        "shares": [minimum.weight for minimum in record.minima], "claims": record.identifiability_statement,
     }  # fmt: skip
 
 

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from pianofit.schema.fit import Fit
+
 __all__ = ["DEEPER", "STATUS", "entry", "nearest", "progress", "report", "row", "score"]
 
 REACH = 1.96  # standard errors to either side of a 95 % interval
@@ -19,17 +21,17 @@ HEADING = (
 )
 
 
-def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
+def score(fit: Fit, true: dict, velocities: list[float]) -> list[dict]:
     """A row by parameter and recording: status, relative error in percent, and the miss in standard errors."""
-    table = document["parameters"]
+    table = fit.parameters
     rows = [
-        row(name, table[name]["value"], table[name]["interval"], table[name]["status"], true[name])
+        row(name, table[name].value, table[name].interval, table[name].status, true[name])
         for name in true
         if name in table
     ]
-    for own, v in zip(document["recordings"], velocities, strict=False):
-        if not own["first"]:
-            rows.append(row(OTHERS, own["v_H0"], own["v_H0_interval"], own["v_H0_status"], v))
+    for own, v in zip(fit.recordings, velocities, strict=False):
+        if not own.is_reference:
+            rows.append(row(OTHERS, own.v_H0, own.v_H0_interval, own.v_H0_status, v))
     return rows
 
 

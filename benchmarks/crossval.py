@@ -67,24 +67,22 @@ def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
 
 def validate(job: tuple[str, str, list[Path], Setup, str, int]) -> dict:
     """One note by one law from one seed."""
-    from pianofit import analyse, cross_validate, load_recording
+    from pianofit import cross_validate
     from pianofit.model.program_cache import enable_program_cache
 
     key, note, files, setup, law, seed = job
     enable_program_cache()
-    recordings = [load_recording(file) for file in files]
     begun = time.perf_counter()
-    found, whole = cross_validate(
-        recordings, [analyse(r, note=note) for r in recordings], replace(setup, felt=law), seed=seed
-    )
-    velocities = {Path(row["file"]).stem: row["v_H0"] for row in whole.document["recordings"]}
+    found = cross_validate(*files, setup=replace(setup, felt=law), note=note, seed=seed, progress=False)
+    velocities = {Path(row.file).stem: row.v_H0 for row in found.result.fit.recordings}
     seconds = time.perf_counter() - begun
-    return {"note": key, "law": law, "seed": seed, "seconds": seconds, "velocities": velocities} | found
+    return {"note": key, "law": law, "seed": seed, "seconds": seconds, "velocities": velocities} | found.to_dict()
 
 
 def scored(result: dict) -> list[dict]:
     """The layers that count."""
-    return [t for t in result["recordings"] if t["inner"] and t["partials"] >= FEWEST and len(result["recordings"]) > 3]
+    rows = result["recordings"]
+    return [row for row in rows if row["has_neighbours"] and row["partials"] >= FEWEST and len(rows) > 3]
 
 
 def line(result: dict) -> str:

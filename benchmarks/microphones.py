@@ -31,10 +31,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pianofit import analyse, cross_validate, fit, load_recording
+from pianofit import LeftOutRecording, analyse, cross_validate, fit, load_recording
 from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
 from pianofit.model.program_cache import enable_program_cache
+from pianofit.schema.decode import builtins_of
+from pianofit.schema.fit import Fit
 from pianofit.setup import RecordingInfo, Setup
 
 STRING = ("c", "kappa", "b1", "b2")
@@ -64,11 +66,11 @@ def pairs_of(heard: list[Heard]) -> list[tuple[Heard, Heard]]:
     return [(a, b) for a, b in combinations(heard, 2) if a.stroke == b.stroke and a.mic != b.mic]
 
 
-def alone(heard: Heard, note: str) -> tuple[dict, Analysis]:
+def alone(heard: Heard, note: str) -> tuple[Fit, Analysis]:
     """A recording's own fit and its partials."""
     recording = load_recording(heard.file)
     analysis = analyse(recording, note=note)
-    return fit(recording, analyses=[analysis]).document, analysis
+    return fit(recording, analyses=[analysis]).fit, analysis
 
 
 def compared(pair: tuple[Heard, Heard], note: str) -> dict:
@@ -76,15 +78,15 @@ def compared(pair: tuple[Heard, Heard], note: str) -> dict:
     (one, first), (other, second) = (alone(heard, note) for heard in pair)
     rows = {}
     for name in STRING:
-        a, b = one["parameters"][name], other["parameters"][name]
-        reach = np.hypot(*(np.log(p["interval"][1] / p["interval"][0]) / 2 for p in (a, b)))
+        a, b = one.parameters[name], other.parameters[name]
+        reach = np.hypot(*(np.log(p.interval[1] / p.interval[0]) / 2 for p in (a, b)))
         rows[name] = {
-            "values": [a["value"], b["value"]],
-            "intervals": [a["interval"], b["interval"]],
-            "apart": float(abs(np.log(b["value"] / a["value"])) / reach),
+            "values": [a.value, b.value],
+            "intervals": [a.interval, b.interval],
+            "apart": float(abs(np.log(b.value / a.value)) / reach),
         }
     return {"files": [h.file.name for h in pair], "parameters": rows} | _partials(first, second) | {
-        "excess": [d["diagnostics"]["excess"] for d in (one, other)]
+        "excess": [builtins_of(own.diagnostics.excess_sd) for own in (one, other)]
     }  # fmt: skip
 
 
@@ -110,13 +112,12 @@ def _deviation(x: np.ndarray) -> float:
     return 1.4826 * _median(np.abs(x - np.median(x)))
 
 
-def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, dict]:
+def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, LeftOutRecording]:
     """`cross_validate` of these recordings: what came of those of one microphone, by file."""
-    recordings = [load_recording(h.file) for h in heard]
     layers = tuple(RecordingInfo(h.file.name, None, h.mic, None, h.stroke) for h in heard)
-    found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(recordings=layers))
+    found = cross_validate(*(h.file for h in heard), setup=Setup(recordings=layers), note=note, progress=False)
     names = {str(h.file): h for h in heard}
-    return {Path(row["file"]).name: row for row in found["recordings"] if names[row["file"]].mic == mic}
+    return {Path(row.file).name: row for row in found.recordings if names[row.file].mic == mic}
 
 
 def predictions(heard: list[Heard], note: str) -> dict:
@@ -128,8 +129,8 @@ def predictions(heard: list[Heard], note: str) -> dict:
     begun = time.perf_counter()
     without, beside = left_out(own, note, mic), left_out(own + others, note, mic)
     rows = [
-        {"file": name, "inner": row["inner"], "alone_db": row["predicted_db"], "both_db": beside[name]["predicted_db"],
-         "nearest_db": row["nearest_db"]}
+        {"file": name, "inner": row.has_neighbours, "alone_db": row.predicted_db, "both_db": beside[name].predicted_db,
+         "nearest_db": row.nearest_db}
         for name, row in without.items()
     ]  # fmt: skip
     return {"recordings": rows, "others": [h.file.name for h in others], "seconds": time.perf_counter() - begun}

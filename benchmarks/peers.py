@@ -99,7 +99,7 @@ def strokes(key: str) -> Iterator[tuple[str, Target, list[Made]]]:
 
 def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tuple[str, int] | None = None) -> Made:
     """A stroke as pianofit plays it from others; `steps`: at so many MIDI steps from a layer, or else as it was hit."""
-    from pianofit import RecordingInfo, Setup, fit, predict_recording
+    from pianofit import RecordingInfo, Setup, fit
     from pianofit.modal_response import modal_response_of
     from pianofit.model.modal_response import force_pulse
 
@@ -108,10 +108,10 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     result = fit(*(heard[name] for name in by), analyses=[analyses[name] for name in by], setup=setup)
     rate, count = heard[wanted].rate, round((SPAN + 0.3) * heard[wanted].rate)
     if steps is None:
-        note = predict_recording(result, analyses[wanted]).note
+        note = result.predict(analyses[wanted]).note
         given = "the target's partial levels, for its velocity, and its gain"
     else:
-        own = next(row["v_H0"] for row in result.document["recordings"] if f"-{steps[0]}." in row["file"])
+        own = next(row.v_H0 for row in result.fit.recordings if f"-{steps[0]}." in row.file)
         note = result.note.with_velocity(own * float(np.exp(RISE * steps[1])))
         given = "the target's MIDI velocity, and its gain"
     stroke, key = note.strike(rate), modal_response_of(result)

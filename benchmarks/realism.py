@@ -6,7 +6,7 @@
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
-the others, its velocity and gain from `predict_recording`. The distance is that of `../shared/tools/realism.py`
+the others, its velocity and gain from `Result.predict`. The distance is that of `../shared/tools/realism.py`
 (or of the file that PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to
 gain and shift. Beside it stands the nearer of the two neighbouring recordings. A recording holds noise, which no model
 plays; so the last rung adds noise to the synthesis, with the spectrum that the other layers show between their partials
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 TOOL = Path(__file__).parents[2] / "shared" / "tools" / "realism.py"
 SECONDS = 3.3
-RENDER_MODELS = ("law", "modes", "modes and knock", "nearest layer", "and noise")
+RENDER_MODELS = ("string model", "modes", "modes and knock", "nearest layer", "and noise")
 # Partials of the recording that count lie within so many dB of the strongest.
 RANGE = 50.0
 # Envelopes: between frames, s, and the floor over the recording's noise, dB.
@@ -141,11 +141,10 @@ def fitted(note: str, files: list[Path], setup: Setup) -> Fitted:
 
 def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
     """What the others say of the layer that was left out; played at `velocity`, m/s, or at the prediction's."""
-    from pianofit import predict_recording
     from pianofit.modal_response import modal_response_of
 
     recordings, analyses, out, result = fit
-    played = predict_recording(result, analyses[out]).note
+    played = result.predict(analyses[out]).note
     played = played if velocity is None else played.with_velocity(velocity)
     recording, analysis = recordings[out], analyses[out]
     others, partials = [x.recording for x in result.recordings], analysis.partials
@@ -236,7 +235,7 @@ def rungs(left: LeftOut, tool: ModuleType) -> dict:
     note = left.note()
     knockless = note._replace(ringing=note.ringing and note.ringing.without_knock())
     return {
-        "law": distances(sound(note._replace(ringing=None), left, tool), left, tool),
+        "string model": distances(sound(note._replace(ringing=None), left, tool), left, tool),
         "modes": distances(sound(knockless, left, tool), left, tool),
         "modes and knock": distances(sound(note, left, tool), left, tool),
         "nearest layer": left.near,
@@ -314,7 +313,7 @@ def table(jobs: dict[str, Callable[[], LeftOut]], tool: ModuleType) -> dict:
         print(f"{name:20}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
     for how, of in (("mean", statistics.mean), ("median", statistics.median), ("worst", max)):
         print(f"{how:20}" + "".join(f"{of(x[r]['distance'] for x in found.values()):>18.2f}" for r in RENDER_MODELS))
-    shown = ("law", "modes and knock", "nearest layer")
+    shown = ("string model", "modes and knock", "nearest layer")
     print("\n" + " " * 20 + "".join(f"{rung:>34}" for rung in shown))
     print(" " * 20 + f"{'envelope':>14}{'loudness':>9}{'gain':>6}{'low':>5}" * len(shown) + "   dB")
     for name, row in found.items():

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pianofit.batch.job import Job, JobResult, Settings, Source, versions
+from pianofit.batch.fit_job import JobResult
+from pianofit.batch.job import Job, Settings, Source, versions
 
 TESTS = Path(__file__).parent
 NOTES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
@@ -28,12 +29,12 @@ def quick_work(
     job: Job,
     contents: Sequence[bytes] | None = None,
     scratch: str | None = None,
-    report_progress: Callable[[str], None] = lambda _: None,
+    report_stage: Callable[[str], None] = lambda _: None,
 ) -> JobResult:
     """Files computed from the contents of the recordings in about 0.1 s, or the error that the first word selects."""
     data = [Path(s.path).read_bytes() for s in job.sources] if contents is None else list(contents)
     word, _, rest = data[0].partition(b" ")
-    report_progress("hammer")
+    report_stage("hammer")
     if word == b"die":
         os.kill(os.getpid(), signal.SIGKILL)
     if word == b"die-once" and not (marker := Path(rest.decode())).exists():
@@ -111,7 +112,7 @@ def drive(source: str, out: str, scheduler: str = "") -> None:
         return ProcessPool(2, 2**31, 60.0, store.scratch, work=quick_work)
 
     found = run_batch(jobs, Path(out), workers, tell=lambda p: print(p.event, flush=True) if p.event else None)
-    print(json.dumps(found["counts"]))
+    print(json.dumps(found.counts))
 
 
 def _in_order(folder: Path) -> list[Path]:

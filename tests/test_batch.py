@@ -11,15 +11,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
 from pianofit.batch import ProcessPool, plan_jobs, run_batch, status
-from pianofit.batch.job import JobResult
-from pianofit.batch.state import suggestions, time_left
-from pianofit.batch.store import Store, locked, open_folder
+from pianofit.batch.fit_job import JobResult
+from pianofit.batch.records import Entry, Store, summary, time_left
 from pianofit.errors import OutputError
 from pianofit.threads import cores
 
@@ -40,7 +40,7 @@ def whole(tmp_path_factory):
     place = tmp_path_factory.mktemp("whole")
     jobs = library(place / "in", TEXTS)
     found = run(jobs, place / "out")
-    assert found["counts"] == {"done": 8, "failed": 0, "running": 0, "waiting": 0}
+    assert found.counts == {"done": 8, "failed": 0, "running": 0, "waiting": 0}
     return place, jobs, results(place / "out")
 
 
@@ -63,8 +63,7 @@ def test_what_is_done_is_skipped_and_what_changed_is_not(whole, tmp_path):
     other = library(tmp_path / "in", ["another", *TEXTS[1:]])
     (tmp_path / "out/keys/As0/fitted.wav").write_bytes(b"by hand")
     shutil.rmtree(tmp_path / "out/keys/B0")
-    settings = jobs[3].settings._replace(seed=4)
-    other[3] = other[3]._replace(settings=settings)
+    other[3] = replace(other[3], settings=replace(jobs[3].settings, seed=4))
     assert [plan_jobs(other, tmp_path / "out")[u.key] for u in other[:5]] == [
         "to do: inputs changed", "to do: its folder was changed", "to do: new", "to do: settings changed", "done",
     ]  # fmt: skip
@@ -80,7 +79,7 @@ def test_a_lost_ledger_loses_no_key(whole, tmp_path):
     shutil.copytree(place / "out", tmp_path / "out")
     shutil.rmtree(tmp_path / "out/ledger")
     run_batch(jobs, tmp_path / "out", no_workers)
-    assert status(tmp_path / "out")["counts"]["done"] == 8
+    assert status(tmp_path / "out").counts["done"] == 8
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"key": "As0"}', "{" * 5000])
@@ -91,7 +90,7 @@ def test_an_entry_that_cannot_be_read_has_its_key_fitted_anew(tmp_path, content)
     assert json.loads(entry.read_text())["reason"] == "is silent"
     entry.write_text(content)
     assert plan_jobs(jobs, tmp_path / "out") == {"A0": "done", "As0": "to do: new"}
-    assert status(tmp_path / "out")["counts"] == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
+    assert status(tmp_path / "out").counts == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
 
 
 def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
@@ -100,8 +99,8 @@ def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
     run(jobs, tmp_path / "out")
     document = json.loads((tmp_path / "out/ledger/A0.json").read_text())
     (tmp_path / "out/ledger/A0.json").write_text(json.dumps(document | {"state": "running"}))
-    Store(tmp_path / "out").commit("A0", {"fit.json": b"1"}, {"hash": jobs[0].hash})
-    assert status(tmp_path / "out")["counts"]["done"] == 1
+    Store(tmp_path / "out").commit(Entry.waiting(jobs[0]), {"fit.json": b"1"})
+    assert status(tmp_path / "out").counts["done"] == 1
     assert plan_jobs(jobs, tmp_path / "out") == {"A0": "done"}
 
 
@@ -111,16 +110,16 @@ def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
 def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path):
     jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
     found = run(jobs, tmp_path / "out")
-    assert found["counts"] == {"done": 2, "failed": 1, "running": 0, "waiting": 0}
-    assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
+    assert found.counts == {"done": 2, "failed": 1, "running": 0, "waiting": 0}
+    assert [k.reason for k in found.keys] == ["", "is silent", ""]
     again = run_batch(jobs, tmp_path / "out", no_workers)
-    assert again["keys"][1]["reason"] == "is silent"
+    assert again.keys[1].reason == "is silent"
     assert plan_jobs(jobs, tmp_path / "out")["As0"] == "failed: is silent"
     events = []
     run(jobs, tmp_path / "out", retry_failed=True, tell=lambda p: events.append(p.event))
     assert [e for e in events if e] == ["As0: failed: is silent"]
     mended = library(tmp_path / "in", ["one", "two", "three"])
-    assert run(mended, tmp_path / "out")["counts"]["done"] == 3
+    assert run(mended, tmp_path / "out").counts["done"] == 3
 
 
 def test_a_worker_that_dies_takes_only_its_unit_with_it(tmp_path):
@@ -128,22 +127,22 @@ def test_a_worker_that_dies_takes_only_its_unit_with_it(tmp_path):
     jobs = library(tmp_path / "in", texts)
     events = []
     found = run(jobs, tmp_path / "out", tell=lambda p: events.append(p.event))
-    assert found["counts"] == {"done": 5, "failed": 1, "running": 0, "waiting": 0}
-    dead = found["keys"][1]
-    assert "SIGKILL" in dead["reason"]
-    assert "memory" in dead["reason"]
-    assert dead["reason"].endswith("2 times")
-    assert found["keys"][3]["attempts"] == 2
+    assert found.counts == {"done": 5, "failed": 1, "running": 0, "waiting": 0}
+    dead = found.keys[1]
+    assert "SIGKILL" in dead.reason
+    assert "memory" in dead.reason
+    assert dead.reason.endswith("2 times")
+    assert found.keys[3].attempts == 2
     assert sum("it is tried again" in e for e in events) == 2
 
 
 def test_a_fit_without_end_and_one_without_bounds_are_stopped(tmp_path):
     jobs = library(tmp_path / "in", ["hang", "swell", "three"])
     found = run(jobs, tmp_path / "out", limit=3.0, memory=2**30)
-    assert [k["state"] for k in found["keys"]] == ["failed", "failed", "done"]
-    assert "3 s" in found["keys"][0]["reason"]
-    assert "--time-limit" in found["keys"][0]["reason"]
-    assert "memory" in found["keys"][1]["reason"]
+    assert [k.state for k in found.keys] == ["failed", "failed", "done"]
+    assert "3 s" in found.keys[0].reason
+    assert "--time-limit" in found.keys[0].reason
+    assert "memory" in found.keys[1].reason
 
 
 def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
@@ -183,11 +182,11 @@ def test_the_number_of_threads_is_that_of_the_environment(monkeypatch, setting, 
 def test_results_of_an_earlier_run_are_reported(tmp_path):
     run(library(tmp_path / "in", ["one", "two"]), tmp_path / "out")
     found = run(library(tmp_path / "in", ["refuse is silent"]), tmp_path / "out")
-    assert found["strangers"] == ["A0", "As0"]
+    assert found.strangers == ["A0", "As0"]
 
 
 def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_path):
-    from pianofit.batch.job import fit_job
+    from pianofit.batch.fit_job import fit_job
 
     (job,) = library(tmp_path / "in", ["one"])
     (tmp_path / "in/A0.wav").write_text("two")
@@ -197,10 +196,10 @@ def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_pat
 
 
 def test_a_worker_with_another_version_stops_the_batch(tmp_path):
-    from pianofit.batch.job import fit_job
+    from pianofit.batch.fit_job import fit_job
 
     (job,) = library(tmp_path / "in", ["one"])
-    outcome = fit_job(job._replace(versions=job.versions | {"jax": "0.0.1"}))
+    outcome = fit_job(replace(job, versions=job.versions | {"jax": "0.0.1"}))
     assert outcome.stop
     assert "jax" in outcome.error
     assert "0.0.1" in outcome.error
@@ -212,9 +211,9 @@ def test_a_worker_with_another_version_stops_the_batch(tmp_path):
 def test_a_second_batch_in_the_folder_refuses(tmp_path):
     jobs = library(tmp_path / "in", ["one"])
     (tmp_path / "out").mkdir()
-    with locked(tmp_path / "out"), pytest.raises(OutputError, match="another batch"):
+    with Store(tmp_path / "out").locked(), pytest.raises(OutputError, match="another batch"):
         run(jobs, tmp_path / "out")
-    assert run(jobs, tmp_path / "out")["counts"]["done"] == 1
+    assert run(jobs, tmp_path / "out").counts["done"] == 1
 
 
 def test_folders_that_are_no_batchs(tmp_path):
@@ -274,12 +273,14 @@ def test_no_room_for_a_workers_scratch_stops_the_batch(tmp_path):
     jobs = library(tmp_path / "in", ["one", "full", "three"])
     with pytest.raises(OutputError, match="No space left on device"):
         run(jobs, tmp_path / "out", workers=1)
-    assert [k["state"] for k in status(tmp_path / "out")["keys"]] == ["done", "waiting", "waiting"]
+    assert [k.state for k in status(tmp_path / "out").keys] == ["done", "waiting", "waiting"]
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
-    store = open_folder(tmp_path)
-    store.commit("C4", {"fit.json": b"1"}, {"hash": "a"})
+    store = Store(tmp_path)
+    store.open()
+    first, second = (Entry("C4", "C4", digest, "running") for digest in "ab")
+    store.commit(first, {"fit.json": b"1"})
     real = os.fsync
 
     def refuse(handle):
@@ -287,12 +288,12 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(OutputError, match="the disk is full"):
-        store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
+        store.commit(second, {"fit.json": b"2"})
     monkeypatch.setattr(os, "fsync", real)
-    assert store.verified_record("C4")["hash"] == "a"
+    assert (store.entry("C4").hash, store.is_intact(store.record("C4"))) == ("a", True)
     assert [p.name for p in (tmp_path / "keys").iterdir()] == ["C4"]
-    store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
-    assert store.verified_record("C4")["hash"] == "b"
+    store.commit(second, {"fit.json": b"2"})
+    assert (store.entry("C4").hash, store.is_intact(store.record("C4"))) == ("b", True)
 
 
 # --- the end at any moment --------------------------------------------------------------------------------------------
@@ -304,7 +305,7 @@ def check_remains(out: Path) -> set[str]:
         return set()
     store = Store(out)
     keys = store.finished()
-    assert all(store.verified_record(key) is not None for key in keys)
+    assert all((record := store.record(key)) is not None and store.is_intact(record) for key in keys)
     return keys
 
 
@@ -355,7 +356,7 @@ def test_workers_end_with_a_batch_that_was_killed(tmp_path):
         time.sleep(0.05)
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
     state = status(tmp_path / "out")
-    assert (state["at_work"], state["counts"]["running"], state["counts"]["waiting"]) == (False, 0, 2)
+    assert (state.at_work, state.counts["running"], state.counts["waiting"]) == (False, 0, 2)
 
 
 def test_interrupted_it_leaves_nothing_running(tmp_path):
@@ -363,12 +364,12 @@ def test_interrupted_it_leaves_nothing_running(tmp_path):
     process = python(DRIVE, tmp_path / "in", tmp_path / "out")
     assert process.stdout is not None
     assert "done in" in process.stdout.readline()
-    assert status(tmp_path / "out")["at_work"]
+    assert status(tmp_path / "out").at_work
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)
     state = status(tmp_path / "out")
-    assert not state["at_work"]
-    assert state["counts"] == {"done": 1, "failed": 0, "running": 0, "waiting": 1}
+    assert not state.at_work
+    assert state.counts == {"done": 1, "failed": 0, "running": 0, "waiting": 1}
     assert not (tmp_path / "out/ledger/scratch").exists()
 
 
@@ -383,14 +384,13 @@ def test_time_left_is_of_what_waits_and_what_runs():
 
 
 def test_wrong_names_are_suggested_one_by_one_or_all_together(tmp_path):
-    from pianofit.batch.job_records import Entry
-
     def entry(note: str, like: str) -> Entry:
         return Entry(note, note, "", "failed", detected_note=like)
 
-    (suggestion,) = suggestions([entry("C4", ""), entry("D4", "E4")])
+    (suggestion,) = summary(tmp_path, [entry("C4", ""), entry("D4", "E4")]).suggestions
     assert suggestion.startswith("D4: ")
     assert "E4" in suggestion
-    (suggestion,) = suggestions([entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")])
+    wrong = [entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")]
+    (suggestion,) = summary(tmp_path, wrong).suggestions
     assert suggestion.startswith("3 of 4 keys")
     assert "--transpose 12" in suggestion

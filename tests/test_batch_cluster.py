@@ -88,7 +88,7 @@ def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(tmp_path, by_value):
                     killed(machines.workers[0])
 
         found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, by_value, quick_work), tell=tell)
-    assert found["counts"] == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
+    assert found.counts == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
     assert results(tmp_path / "out") == expected(jobs, tmp_path / "own")
 
 
@@ -110,7 +110,7 @@ def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_
 
         with pytest.raises(OutputError, match="scheduler is gone"):
             run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work), tell=tell)
-        kept = status(out)["counts"]
+        kept = status(out).counts
         assert kept["done"] > len(first)
         assert kept["done"] + kept["waiting"] == 8
     with cluster(tmp_path / "dask2", 1) as machines:
@@ -124,8 +124,8 @@ def test_what_fails_on_a_worker_is_told_here(tmp_path):
         found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, True, quick_work))
         (tmp_path / "in/A0.wav").unlink()
         gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: DaskPool(machines.address, True, quick_work))
-    assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
-    assert "A0.wav: no such file" in gone["keys"][0]["reason"]
+    assert [k.reason for k in found.keys] == ["", "is silent", ""]
+    assert "A0.wav: no such file" in gone.keys[0].reason
 
 
 def test_no_scheduler_is_one_clear_message(monkeypatch):

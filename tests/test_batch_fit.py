@@ -10,7 +10,7 @@ import pytest
 from batch_cases import CLI, python, results, struck
 
 from pianofit.batch import Job, ProcessPool, Settings, make_job, read_keys
-from pianofit.batch.job import JobResult, _of_another_key, _wrong_note
+from pianofit.batch.fit_job import JobResult, _of_another_key, _wrong_note
 from pianofit.cli import main
 from pianofit.io.files import encode_wav
 
@@ -105,7 +105,7 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     (key,), _ = read_keys(tmp_path, pattern=PATTERN)
     outcome = in_a_worker(make_job(key, Settings(page=False)), tmp_path)
     assert outcome.error == ""
-    reasons = {Path(row["file"]).stem.rpartition("-")[2]: row["reason"] for row in outcome.left_out}
+    reasons = {Path(row.file).stem.rpartition("-")[2]: row.reason for row in outcome.left_out}
     assert set(reasons) == {"noise", "text", "sharp", "octave"}
     assert "is text" in reasons["text"]
     assert "C#4" in reasons["sharp"]
@@ -139,10 +139,10 @@ def test_a_recording_of_another_key_is_the_one_that_most_others_contradict(cents
 
 
 def test_a_batch_leaves_out_what_a_fit_refuses():
-    from pianofit.batch import job
+    from pianofit.batch import fit_job
     from pianofit.inference import problem
 
-    assert job.MIN_PARTIALS == problem.FEWEST
+    assert fit_job.MIN_PARTIALS == problem.FEWEST
 
 
 def test_a_plan_names_every_file_and_why_one_was_not_read(tmp_path, monkeypatch, capsys):

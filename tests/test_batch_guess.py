@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from pianofit.analysis.note_names import midi_to_note, note_to_midi
-from pianofit.batch.guess import MIN_VALUE_RATIO, guess_pattern, midi_number_offset
-from pianofit.batch.manifest import _expression, read_keys
+from pianofit.batch import read_keys
+from pianofit.batch.name_pattern import MIN_VALUE_RATIO, expression_of, guess_pattern, midi_number_offset
 from pianofit.errors import SetupError
 
 NOTES = ("A0", "C2", "F#2", "Bb3", "C4", "D#5")
@@ -43,14 +43,14 @@ LIBRARIES = {
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_the_pattern_of_a_library_is_guessed(library):
     listed, expected = LIBRARIES[library]
-    assert guess_pattern(listed, _expression) == expected
-    assert guess_pattern(listed[::-1], _expression) == expected  # in any order
+    assert guess_pattern(listed) == expected
+    assert guess_pattern(listed[::-1]) == expected  # in any order
 
 
 @pytest.mark.parametrize("library", [name for name in LIBRARIES if name != "MIDI number"])
 def test_every_name_that_is_read_has_its_note(library):
     listed, _ = LIBRARIES[library]
-    expression = _expression(guess_pattern(listed, _expression))
+    expression = expression_of(guess_pattern(listed))
     read = {name: note_to_midi(match["note"]) for name in listed if (match := expression.fullmatch(name))}
     assert len(read) >= len(listed) - 4
     assert all(any(note in name for note in NOTES if note_to_midi(note) == midi) for name, midi in read.items())
@@ -58,15 +58,15 @@ def test_every_name_that_is_read_has_its_note(library):
 
 @pytest.mark.parametrize("listed", [["take1", "take2", "strange"], names("{m}_{v}", NOTES[:3], v=(30, 60, 90))])
 def test_nothing_is_guessed_where_the_note_is_not_clear(listed):
-    assert guess_pattern(listed, _expression) is None
+    assert guess_pattern(listed) is None
 
 
 def test_a_number_is_the_note_where_it_has_clearly_more_values():
     def library(keys: int) -> list[str]:
         return names("{m}_{v}", [midi_to_note(36 + i) for i in range(keys)], v=(30, 60, 90))
 
-    assert guess_pattern(library(3 * MIN_VALUE_RATIO), _expression) == "{note}_{layer}"
-    assert guess_pattern(library(3 * MIN_VALUE_RATIO - 1), _expression) is None
+    assert guess_pattern(library(3 * MIN_VALUE_RATIO)) == "{note}_{layer}"
+    assert guess_pattern(library(3 * MIN_VALUE_RATIO - 1)) is None
 
 
 def test_numbers_that_count_octaves_otherwise_are_found():

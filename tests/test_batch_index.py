@@ -19,8 +19,8 @@ from instrument_cases import ERRORS, fit_document, true_note
 
 from pianofit.batch import ProcessPool, run_batch, status
 from pianofit.batch.html_index import Index
-from pianofit.batch.job_records import Entry, write_record
-from pianofit.batch.store import Store, open_folder
+from pianofit.batch.job import Source, UnusedFile
+from pianofit.batch.records import Entry, Store
 from pianofit.batch.traffic_lights import lights
 from pianofit.cli import main
 from pianofit.cli.batch import _line
@@ -33,7 +33,8 @@ RATE = 22_050
 @pytest.fixture
 def store(tmp_path) -> Store:
     """Two finished keys, of which one still has its recording, and a failed key."""
-    store = open_folder(tmp_path / "out")
+    store = Store(tmp_path / "out")
+    store.open()
     for midi, key in ((60, "grand-C4"), (42, "grand-Fs2")):
         note = true_note(midi)
         sound = np.pad(note.render(3.0, seconds=1.5, rate=RATE), (RATE // 20, 0))
@@ -47,9 +48,9 @@ def store(tmp_path) -> Store:
         document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
         name = midi_name(midi)
-        store.commit(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})
+        store.commit(Entry(key, name, key, "running", (Source(str(file), file.name, digest),), seconds=20.0), files)
     (tmp_path / "grand-Fs2.wav").unlink()
-    write_record(store, Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
+    store.write(Entry("grand-D4", "D4", "x", "failed", reason="<script>alert(1)</script>"))
     return store
 
 
@@ -92,7 +93,7 @@ def test_the_page_shows_every_key_and_what_can_be_heard(store):
 
 
 def test_a_damaged_record_hides_no_other_key(store):
-    store.commit("odd", {"fit.json": b"{}"}, {"hash": "x", "note": "H9"})
+    store.commit(Entry("odd", "H9", "x", "running"), {"fit.json": b"{}"})
     (store.keys / "odd/fit.json").write_bytes(b"[1, 2")
     Index(store).write()
     rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
@@ -131,7 +132,7 @@ def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
 
 
 def tones(note="A4", **fit):
-    return [light.tone for light in lights(Entry("k", note, "x", "done", 2), fit)]
+    return [light.tone for light in lights(Entry("k", note, "x", "done"), fit)]
 
 
 @pytest.mark.parametrize(("dB", "tone"), [(0.99, "good"), (1.02, "fair"), (2.99, "fair"), (3.02, "poor")])
@@ -157,7 +158,7 @@ def test_what_is_not_there_is_not_judged():
 
 def test_warnings_name_what_makes_a_key_doubtful():
     bound = {"mu": {"status": "at-bound"}, "p": {"status": "fitted"}}
-    entry = Entry("k", "A4", "x", "done", 2, left_out=({"file": "a", "reason": "a: clipped"},))
+    entry = Entry("k", "A4", "x", "done", left_out=(UnusedFile("a", "a: clipped"),))
     *_, light = lights(entry, {"parameters": bound, "converged": True})
     assert (light.tone, light.text, light.value) == ("fair", "2", 2)
     assert "μ" in light.word
@@ -174,7 +175,7 @@ def test_the_table_is_sorted_by_keyboard_and_reads_without_colour(store):
     if not Path(chromium).exists():
         pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
     files = {"fit.json": json.dumps({"schema": 0}).encode()}
-    store.commit("grand-Z", files, {"hash": "z", "note": "C5", "recordings": [1], "seconds": 1.0})
+    store.commit(Entry("grand-Z", "C5", "z", "running", seconds=1.0), files)
     Index(store).write()
     with sync_api.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
@@ -214,31 +215,32 @@ def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_pa
         run_batch(jobs, tmp_path / "out", lambda s: ProcessPool(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
     html, state, progress = reports[-1]
     assert "not finished" in html
-    assert state["at_work"]
-    (running,) = [key for key in state["keys"] if key["state"] == "running"]
+    assert state.at_work
+    (running,) = [key for key in state.keys if key.state == "running"]
     assert progress.running == (("B0", "hammer"),)
-    assert (running["key"], running["stage"]) == ("B0", "hammer")
-    assert 0 <= time.time() - running["started"] < 60
+    assert (running.key, running.stage) == ("B0", "hammer")
+    assert 0 <= time.time() - running.started < 60
     after = status(tmp_path / "out")
-    assert [key["stage"] for key in after["keys"]] == ["", "", ""]
-    assert after["seconds_left"] is None
+    assert [key.stage for key in after.keys] == ["", "", ""]
+    assert after.seconds_left is None
 
 
 def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypatch, capsys):
-    store = open_folder(tmp_path)
-    store.commit("A0", {"fit.json": b"{}"}, {"hash": "a", "note": "A0", "recordings": [1], "seconds": 100.0})
+    store = Store(tmp_path)
+    store.open()
+    store.commit(Entry("A0", "A0", "a", "running", seconds=100.0), {"fit.json": b"{}"})
     now = time.time()
     for key, state, stage, began in (("B0", "running", "hammer", now - 40), ("C1", "running", "", now - 10),
                                      ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
-        write_record(store, Entry(key, key, "x", state, stage=stage, started=began))
-    monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
-    assert status(tmp_path)["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
+        store.write(Entry(key, key, "x", state, stage=stage, started=began))
+    monkeypatch.setattr(Store, "is_locked", lambda _: True)
+    assert status(tmp_path).seconds_left == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
     assert main(["status", str(tmp_path)]) == 0
     running = capsys.readouterr().out
     assert running.startswith("1 done, 2 running, 2 waiting of 5 keys")
     assert "3 min left" in running
     assert "B0: hammer, C1" in running
-    monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: False)
+    monkeypatch.setattr(Store, "is_locked", lambda _: False)
     main(["status", str(tmp_path)])
     stopped = capsys.readouterr().out
     assert stopped.startswith("1 done, 4 waiting of 5 keys")

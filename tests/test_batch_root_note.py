@@ -8,7 +8,7 @@ import pytest
 from test_batch_sfz import library, tone
 
 from pianofit.batch import read_keys
-from pianofit.batch.root_note import root_note
+from pianofit.batch.library_files import root_note
 from pianofit.io.files import encode_pcm
 
 

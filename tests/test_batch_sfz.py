@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pianofit.batch import read_keys
-from pianofit.batch.sfz_opcodes import unrecognised_opcodes
-from pianofit.batch.sfz_text import MAX_DEPTH
+from pianofit.batch.sfz_text import MAX_DEPTH, unrecognised_opcodes
 from pianofit.errors import SetupError
 from pianofit.io.files import encode_wav
 

@@ -8,15 +8,17 @@ import json
 import re
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pianofit.felt import ALL_PARAMETERS, LAWS
-from pianofit.io.files import FIT_SCHEMA
 from pianofit.modal_response import modal_response_of
-from pianofit.modal_response_file import modal_response_document
+from pianofit.schema.decode import builtins_of
+from pianofit.schema.fit import FIT_SCHEMA
+from pianofit.schema.modal_response import ModalResponseEntry
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -151,18 +153,18 @@ def ringing_of_a_fit() -> dict[str, Any]:
     result = run(ROOT / "docs" / "modal-response.md")["result"]
     found = modal_response_of(result)
     assert found is not None
-    return result.document["ringing"] | modal_response_document(found)
+    return builtins_of(replace(result.fit.modal_response, response=ModalResponseEntry.of(found)))
 
 
 def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):
     """The whole of one that is calibrated, and how a key rings of one that is not."""
     monkeypatch.chdir(tmp_path)
     whole, ringing = map(json.loads, fenced(FILES, "json"))
-    assert missing(whole, run(ROOT / "docs" / "fitting.md")["result"].document) == []
+    assert missing(whole, run(ROOT / "docs" / "fitting.md")["result"].to_dict()) == []
     real = ringing_of_a_fit()
     assert missing(ringing, real) == []
     assert {*ringing["layers"][0]} == {*real["layers"][0]}
-    assert {*ringing["pattern"][0]} == {*real["pattern"][0]}
+    assert {*ringing["response"]["modal_amplitudes"][0]} == {*real["response"]["modal_amplitudes"][0]}
     assert whole["schema"] == FIT_SCHEMA
 
 
@@ -192,12 +194,13 @@ def test_every_constant_of_the_table_is_in_the_code():
 def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = FILES.read_text(encoding="utf-8")
-    document = run(ROOT / "docs" / "fitting.md")["result"].document
+    document = run(ROOT / "docs" / "fitting.md")["result"].to_dict()
     whole = ("invariants", "parameters", "pickup", "derived", "criterion", "levels", "diagnostics", "versions")
-    parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess"]]
+    parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess_sd"]]
     parts += [document["recordings"][0], document["minima"][0]]
     parts += [document["parameters"]["c"], document["invariants"]["f0"]]
     ringing = ringing_of_a_fit()
-    parts += [ringing, *(ringing[part] for part in ("modes", "knock", "left_out_db"))]
-    parts += [ringing["layers"][0], ringing["pattern"][0], {"ringing": ringing}]
+    response = ringing["response"]
+    parts += [ringing, response, response["modes"], response["knock"], ringing["leave_one_out_db"]]
+    parts += [ringing["layers"][0], response["modal_amplitudes"][0], {"modal_response": ringing}]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []

@@ -36,7 +36,7 @@ USES = {
     "result": "analysis criterion felt schema inference io model parameters recording setup threads",
     "modal_response": "analysis model recording result threads",
     "report": "analysis felt schema io modal_response model parameters result",
-    "listening": "io recording report",
+    "listening": "io recording report schema",
     "bensa2005": "analysis criterion felt inference io listening literature model parameters recording report"
     " result setup",
     "fitting": "analysis bensa2005 inference modal_response parameters progress recording result setup threads",

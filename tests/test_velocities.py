@@ -13,7 +13,7 @@ from pianofit import fit
 from pianofit.analysis import analyse
 from pianofit.inference import build_problem
 from pianofit.recording.recording import load_recording
-from pianofit.result.velocity_check import brightening, contradictory_velocities
+from pianofit.result.warnings import brightening, contradictory_velocities
 from pianofit.setup import RecordingInfo, Setup
 
 SPEEDS = (1.0, 1.3, 4.0)  # m/s

@@ -37,6 +37,7 @@ CALLS = {
     "channel": lambda x: pf.load_recording("none.wav", channel=x),
     "rate": lambda x: pf.recording_from_samples(sound(), x),
     "rate of a file": lambda x: pf.encode_wav(sound(), x),
+    "path of a sound": lambda x: pf.write_wav(x, sound(), 22_050),
     "note": lambda x: pf.analyse(recording(), note=x),
     "f0": lambda x: pf.analyse(recording(), f0=x),
     "recording": pf.analyse,
@@ -52,8 +53,8 @@ CALLS = {
     "felt": lambda x: pf.Setup(felt=x),
     "notes": lambda x: pf.predict_recording(x, recording()),
     "recording of a validation": lambda x: pf.cross_validate(x),
-    "analyses": lambda x: pf.cross_validate([recording()] * 3, analyses=x),
-    "setup": lambda x: pf.cross_validate([recording()] * 3, setup=x),
+    "analyses": lambda x: pf.cross_validate(*[recording()] * 3, analyses=x),
+    "setup": lambda x: pf.cross_validate(*[recording()] * 3, setup=x or 1),  # an empty table is a setup
     "string": lambda x: pf.simulate(x, F3.hammer, F3.geometry),
     "string of other values": lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry),
     "hammer": lambda x: pf.simulate(F3.string, x, F3.geometry),

@@ -22,6 +22,7 @@ __all__ = [
     # Model: from parameters to motion and sound.
     "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
     "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
+    "write_wav",
     # Parts of the model for JAX programs: modes, excitation, output.
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
     # Errors.
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     )
     from .felt import FeltLaw, RelaxingHammer
     from .fitting import fit
-    from .io.files import encode_wav
+    from .io.files import encode_wav, write_wav
     from .literature import Preset, preset, typical
     from .model import Modes, Note, Simulation, levels, mode_table, pluck, simulate, spectrum, strike, waveform
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
@@ -73,7 +74,7 @@ _MODULES = {
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "literature": ("Preset", "preset", "typical"),
     "recording.recording": ("Recording", "load_recording", "recording_from_samples"),
-    "io.files": ("encode_wav",),
+    "io.files": ("encode_wav", "write_wav"),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
     "setup": ("RecordingInfo", "Setup", "load_setup", "setup_from_dict"),

@@ -12,14 +12,14 @@ import logging
 import queue
 import secrets
 import time
-from pathlib import Path
 
 from ..errors import OutputError, ParameterError, RecordingError
 from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..recording.recording import MAX_BYTES
-from .job import Job, JobResult, fit_job
-from .process_pool import RunningJob, Work, WorkerLost, one_thread
+from .fit_job import JobResult, Work, fit_job
+from .job import Job
+from .process_pool import one_thread
 
 __all__ = ["DaskPool", "check_cluster"]
 
@@ -57,15 +57,12 @@ class DaskPool:
             reason = printable(error)[:100]
         if reason is not None:
             gc.collect()  # ends the rest of the client now: collected while a later client starts, it would deadlock
-            raise ParameterError(
-                f"--scheduler {self._address}: no scheduler answers there ({reason}); check the address"
-            )
+            answer = f"no scheduler answers there ({reason})"
+            raise ParameterError(f"--scheduler {self._address}: {answer}; check the address")
         self._begun: dict = {}  # future -> (job, start time, s)
         self._stage: dict[str, str] = {}  # by hash of the job
-        self._client.subscribe_topic(TOPIC, self._on_progress_event)
+        self._client.subscribe_topic(TOPIC, lambda event: self._stage.update([event[1]]))  # (time, (hash, stage))
         self._ended: queue.Queue = queue.Queue()
-        self._token = secrets.token_hex(4)
-        self.slots = 0
         self._count()
 
     def __enter__(self) -> DaskPool:
@@ -79,44 +76,35 @@ class DaskPool:
     def _count(self) -> None:
         """Count the threads of the cluster, whose number changes."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        self.slots = sum(w["nthreads"] for w in workers)
+        self.slots = sum(worker["nthreads"] for worker in workers)
+        self.capacity = max(JOBS_PER_THREAD * self.slots, 1)
 
+    @property
     def pending(self) -> int:
         """Number of jobs that were sent and have not ended."""
         return len(self._begun)
 
-    def running(self) -> dict[str, RunningJob]:
+    def running(self) -> dict[str, tuple[float, str]]:
         """Running keys with seconds since they were sent, and stage. Jobs sent ahead are not included."""
-        now = time.monotonic()
-        oldest = list(self._begun.values())[: self.slots]
-        return {job.key: RunningJob(now - since, self._stage.get(job.hash, "")) for job, since in oldest}
-
-    def _on_progress_event(self, event) -> None:
-        """Store the stage of a worker from an event (time, (hash of its job, stage))."""
-        _, (digest, stage) = event
-        self._stage[digest] = stage
-
-    def has_capacity(self) -> bool:
-        """True if another job should be sent."""
-        return len(self._begun) < max(JOBS_PER_THREAD * self.slots, 1)
+        now, oldest = time.monotonic(), list(self._begun.values())[: self.slots]
+        return {job.key: (now - since, self._stage.get(job.hash, "")) for job, since in oldest}
 
     def submit(self, job: Job) -> None:
         """Send a job.
 
         Raises `RecordingError` if a recording to be sent cannot be read, `OutputError` if the scheduler is gone.
         """
-        if self._client.status != "running":
-            raise self._scheduler_lost()
+        self._check_scheduler()
         contents = None
         if self._by_value:
-            contents = [read_file(s.path, MAX_BYTES, RecordingError) for s in job.sources]
-        key = f"pianofit-{job.key}-{job.hash[:8]}-{self._token}-{len(self._begun)}-{time.monotonic_ns()}"
-        future = self._client.submit(on_worker, self._work, job, contents, key=key, pure=False)
+            contents = [read_file(source.path, MAX_BYTES, RecordingError) for source in job.sources]
+        key = f"pianofit-{job.key}-{job.hash[:8]}-{secrets.token_hex(8)}"
         self._stage.pop(job.hash, None)  # of an earlier attempt
+        future = self._client.submit(_run, self._work, job, contents, key=key, pure=False)
         self._begun[future] = job, time.monotonic()
         future.add_done_callback(self._ended.put)
 
-    def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
+    def finished(self, timeout: float) -> list[tuple[Job, JobResult]]:
         """Wait up to `timeout` seconds for a job to end, and return the jobs that ended.
 
         Raises `OutputError` if the scheduler is gone.
@@ -125,21 +113,19 @@ class DaskPool:
             future = self._ended.get(timeout=timeout)
         except queue.Empty:
             future = None
-        if self._client.status != "running" or (future is not None and future.status in ("cancelled", "lost")):
-            raise self._scheduler_lost()
+        self._check_scheduler(future is not None and future.status in ("cancelled", "lost"))
         self._count()
         if future is None:
             return []
         job, _ = self._begun[future]
         try:
-            outcome = self._result(future)
+            return [(job, self._result(future))]
         finally:
             del self._begun[future]
             self._stage.pop(job.hash, None)
             future.release()
-        return [(job, outcome)]
 
-    def _result(self, future) -> JobResult | WorkerLost:
+    def _result(self, future) -> JobResult:
         from distributed import CancelledError, KilledWorker
 
         try:
@@ -147,27 +133,23 @@ class DaskPool:
         except KilledWorker:
             return JobResult({}, "every worker that started it died, possibly of too little memory; see their logs")
         except (CancelledError, OSError, TimeoutError) as error:  # the connection, not the fit
-            if self._client.status != "running" or isinstance(error, CancelledError):
-                raise self._scheduler_lost() from None
-            return WorkerLost(f"its result did not arrive ({printable(error)[:100]})")
+            self._check_scheduler(isinstance(error, CancelledError))
+            return JobResult({}, f"its result did not arrive ({printable(error)[:100]})", lost=True)
         except Exception as error:
             reason = printable(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
             return JobResult({}, f"{reason}; install the same pianofit there", stop=True)
 
-    def _scheduler_lost(self) -> OutputError:
-        return OutputError(
-            f"--scheduler {self._address}: the scheduler is gone; finished keys are kept: start a scheduler and run "
-            "the same command again"
-        )
+    def _check_scheduler(self, lost: bool = False) -> None:
+        """Raise `OutputError` if the scheduler is gone, also if a task was lost."""
+        if lost or self._client.status != "running":
+            hint = "finished keys are kept: start a scheduler and run the same command again"
+            raise OutputError(f"--scheduler {self._address}: the scheduler is gone; {hint}") from None
 
 
-def on_worker(work: Work, job: Job, contents: list[bytes] | None) -> JobResult:
+def _run(work: Work, job: Job, contents: list[bytes] | None) -> JobResult:
     """Run a job on a worker of the cluster, in the scratch folder of that worker."""
     from distributed import get_worker
 
     worker = get_worker()
     with one_thread():  # for libraries that are imported only now
-        return work(
-            job, contents, str(Path(worker.local_directory)),
-            lambda stage: worker.log_event(TOPIC, (job.hash, stage)),
-        )  # fmt: skip
+        return work(job, contents, worker.local_directory, lambda stage: worker.log_event(TOPIC, (job.hash, stage)))

@@ -21,24 +21,20 @@ from ..recording.recording import load_recording
 from ..report import html
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.text import SYMBOLS
-from .job_records import Entry, read_records
-from .state import summary
-from .store import Store
+from .records import Entry, Store, summary
 from .traffic_lights import LIGHTS, MATCH_LIMITS, RING_LIMITS, TUNING_LIMITS, lights
 
-__all__ = ["CSV_FILE", "INDEX_FILE", "Index"]
+__all__ = ["Index"]
 
-INDEX_FILE, CSV_FILE = "index.html", "keys.csv"
-# s, between two writes while a batch is running.
-WRITE_INTERVAL_S = 60.0
-# Files of a key to which its row links; the first that exists is used.
-LINKED_FILES = ("report.html", "fit.json")
+WRITE_INTERVAL_S = 60.0  # s, between two writes while a batch is running
 # Columns of the page, and the first columns of the table. By name in fit.json: description and unit.
 INVARIANTS = {
-    "f0": ("fundamental frequency without stiffness", "Hz"), "B": ("inharmonicity", ""),
-    "M_H/M_S": ("hammer mass over string mass", ""), "x0/L": ("strike position over string length", ""),
+    "f0": ("fundamental frequency without stiffness", "Hz"),
+    "B": ("inharmonicity", ""),
+    "M_H/M_S": ("hammer mass over string mass", ""),
+    "x0/L": ("strike position over string length", ""),
     "F/M_S": ("static force of the felt at one compression, over string mass", "N/kg"),
-}  # fmt: skip
+}
 MAX_TOTAL_SAMPLES = 4_000_000  # of all sounds of the page together: 8 MB
 MAX_SECONDS = 3.0  # s, of each sound
 MIN_SECONDS = 1.0  # s, for any number of sounds
@@ -49,6 +45,7 @@ class Index:
 
     def __init__(self, store: Store) -> None:
         self.store, self._stale, self._written = store, False, time.monotonic()
+        self._page, self._table = store.folder / "index.html", store.folder / "keys.csv"
         self._clips: dict[str, tuple[tuple, list[Clip]]] = {}
 
     def changed(self) -> None:
@@ -62,7 +59,7 @@ class Index:
 
     def close(self) -> None:
         """Write both files if a key has ended or a file is missing."""
-        if self._stale or not all((self.store.folder / name).is_file() for name in (INDEX_FILE, CSV_FILE)):
+        if self._stale or not (self._page.is_file() and self._table.is_file()):
             self.write()
 
     def write(self) -> None:
@@ -70,33 +67,57 @@ class Index:
 
         Raises `OutputError` if the folder cannot be written to.
         """
-        entries = sorted(read_records(self.store), key=_order)
-        done = {e.key: (e, self._fit(e.key)) for e in entries if e.state == "done"}
-        write_csv(self.store.folder / CSV_FILE, *table(entries, {key: fit for key, (_, fit) in done.items()}))
+        entries = sorted(self.store.entries(), key=_order)
+        done = [entry for entry in entries if entry.state == "done"]
+        fits = {entry.key: self._fit(entry) for entry in done}
+        table = [*_table_rows(entries, fits)]
+        write_csv(self._table, [*table[0]] if table else [], [[*row.values()] for row in table])
         seconds = seconds_each(len(entries), MAX_TOTAL_SAMPLES, MAX_SECONDS, MIN_SECONDS)
         html.write_page(
-            self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
-            scripts=("audio.js", "player.js", "index.js"), strict=False,
-            title=printable(self.store.folder.resolve().name), batch=summary(self.store.folder, entries),
+            self._page,
+            "index.html.j2",
+            package="pianofit.batch",
+            styles=("index.css",),
+            scripts=("audio.js", "player.js", "index.js"),
+            strict=False,
+            title=printable(self.store.folder.resolve().name),
+            batch=summary(self.store.folder, entries),
             columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
-            lights=LIGHTS, limits={"match": MATCH_LIMITS, "tuning": TUNING_LIMITS, "ring": RING_LIMITS},
-            left_out=[(e.key, recording["reason"]) for e, _ in done.values() for recording in e.left_out],
-            rows=[_row(self.store, entry, fit) | {"clips": self._sounds(entry, fit, seconds)}
-                  for entry, fit in done.values()],
-            failed=[e for e in entries if e.state == "failed"],
-        )  # fmt: skip
+            lights=LIGHTS,
+            limits={"match": MATCH_LIMITS, "tuning": TUNING_LIMITS, "ring": RING_LIMITS},
+            left_out=[(entry.key, recording.reason) for entry in done for recording in entry.left_out],
+            rows=[self._row(entry, fits[entry.key], seconds) for entry in done],
+            failed=[entry for entry in entries if entry.state == "failed"],
+        )
         self._stale, self._written = False, time.monotonic()
 
-    def _fit(self, key: str) -> dict[str, Any]:
+    def _fit(self, entry: Entry) -> dict[str, Any]:
         """Content of the fit.json of a key; empty if the file was changed or has another schema."""
-        fit = json.loads(self.store.verified_content(key, "fit.json") or b"{}")
+        fit = json.loads(self.store.verified_content(entry, "fit.json") or b"{}")
         return fit if fit.get("schema") == FIT_SCHEMA else {}
+
+    def _row(self, entry: Entry, fit: dict[str, Any], seconds: float) -> dict[str, Any]:
+        """Row of a key in the page."""
+        folder, invariants = self.store.keys / entry.key, fit.get("invariants", {})
+        cells = [invariants.get(name, {}) for name in INVARIANTS]
+        statuses = {name: parameter.get("status") for name, parameter in fit.get("parameters", {}).items()}
+        files = (name for name in ("report.html", "fit.json") if (folder / name).is_file())
+        return {
+            "key": entry.key,
+            "recordings": len(entry.recordings),
+            "messages": len(fit.get("messages", ())),
+            "link": next((f"keys/{quote(entry.key)}/{name}" for name in files), ""),
+            "lights": lights(entry, fit),
+            "measured": [(c.get("value"), *with_interval(c.get("value"), c.get("interval"))) for c in cells],
+            "not_identifiable": [SYMBOLS.get(n, n) for n, status in statuses.items() if status == "not-identifiable"],
+            "clips": self._sounds(entry, fit, seconds),
+        }
 
     def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
         """The reference recording and its fit, cached until the key is fitted again."""
         version = (entry.hash, seconds)
         if self._clips.get(entry.key, (None,))[0] != version:
-            self._clips[entry.key] = version, _recording_and_fit(self.store, entry.key, fit, seconds)
+            self._clips[entry.key] = version, _recording_and_fit(self.store, entry, fit, seconds)
         return self._clips[entry.key][1]
 
 
@@ -109,12 +130,12 @@ def _order(entry: Entry) -> tuple[str, int]:
     return entry.key.removesuffix(entry.note.replace("#", "s")), midi
 
 
-def _recording_and_fit(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[Clip]:
+def _recording_and_fit(store: Store, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
     """Excerpts of recording and fit, equally loud. Empty if one of the files is missing or was changed."""
-    (_, row), settings = reference_row(fit.get("recordings")), (store.read_record(key) or {}).get("settings", {})
+    _, row = reference_row(fit.get("recordings"))
     try:
-        recording = load_recording(row.get("file", ""), channel=settings.get("channel", "average"))
-        fitted = load_recording(store.keys / key / "fitted.wav")
+        recording = load_recording(row.get("file", ""), channel=entry.settings.channel)
+        fitted = load_recording(store.keys / entry.key / "fitted.wav")
     except PianofitError:
         return []
     if recording.sha256 != row["sha256"] or fitted.rate != recording.rate:
@@ -123,48 +144,28 @@ def _recording_and_fit(store: Store, key: str, fit: dict[str, Any], seconds: flo
     return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
 
 
-def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
-    """Row of a key in the page."""
-    folder, invariants = store.keys / entry.key, fit.get("invariants", {})
-    cells = [invariants.get(name, {}) for name in INVARIANTS]
-    measured = [(cell.get("value"), *with_interval(cell.get("value"), cell.get("interval"))) for cell in cells]
-    statuses = {name: parameter.get("status") for name, parameter in fit.get("parameters", {}).items()}
-    return {
-        "key": entry.key, "recordings": entry.recordings, "messages": len(fit.get("messages", ())),
-        "link": next((f"keys/{quote(entry.key)}/{n}" for n in LINKED_FILES if (folder / n).is_file()), ""),
-        "lights": lights(entry, fit), "measured": measured,
-        "not_identifiable": [SYMBOLS.get(n, n) for n, status in statuses.items() if status == "not-identifiable"],
-    }  # fmt: skip
-
-
-def _fitted_db(fit: dict[str, Any]) -> float | None:
-    """Difference between the levels of the partials in fit and recordings, rms, dB."""
-    return fit.get("levels", {}).get("fitted_db")
-
-
-def _left_out_db(fit: dict[str, Any]) -> float | None:
-    """Difference between layers that were left out and their prediction, dB."""
-    ringing = fit.get("ringing", {})
-    return (ringing.get("left_out_db") or {}).get(ringing.get("by"))
-
-
-def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> tuple[list[str], Iterator[list[Any]]]:
-    """Header and one row for every key. Every number has its 95 % interval and is in SI units."""
+def _table_rows(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """One row of the table for every key, by column. Every number has its 95 % interval and is in SI units."""
     names = dict.fromkeys(name for fit in fits.values() for name in fit.get("parameters", {}))
-    columns = [f"{name}{end}" for name in (*INVARIANTS, *names) for end in ("", " low", " high")]
-    about = ["key", "note", "state", "reason", "recordings", "recordings left out", "converged", "levels dB",
-             "layers left out dB", "rings by", "seconds"]  # fmt: skip
-
-    def row(entry: Entry) -> list[Any]:
+    for entry in entries:
         fit = fits.get(entry.key, {})
+        ringing = fit.get("ringing") or {}
         values = fit.get("invariants", {}) | fit.get("parameters", {})
-        cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
-        return [
-            entry.key, entry.note, entry.state, printable(entry.reason), entry.recordings, len(entry.left_out),
-            fit.get("converged", ""), _fitted_db(fit), _left_out_db(fit),
-            fit.get("ringing", {}).get("by", "law") if fit else "", entry.seconds or None,
-            *(x for cell in cells for x in (cell.get("value"), *(cell.get("interval") or (None, None)))),
-            *(values.get(name, {}).get("status", "") for name in names),
-        ]  # fmt: skip
-
-    return [*about, *columns, *(f"{name} status" for name in names)], map(row, entries)
+        cells = {
+            "key": entry.key,
+            "note": entry.note,
+            "state": entry.state,
+            "reason": printable(entry.reason),
+            "recordings": len(entry.recordings),
+            "recordings left out": len(entry.left_out),
+            "converged": fit.get("converged", ""),
+            "levels dB": fit.get("levels", {}).get("fitted_db"),
+            "layers left out dB": (ringing.get("left_out_db") or {}).get(ringing.get("by")),
+            "rings by": ringing.get("by", "law") if fit else "",
+            "seconds": entry.seconds or None,
+        }
+        for name in (*INVARIANTS, *names):
+            cell = values.get(name, {})
+            low, high = cell.get("interval") or (None, None)
+            cells |= {name: cell.get("value"), f"{name} low": low, f"{name} high": high}
+        yield cells | {f"{name} status": values.get(name, {}).get("status", "") for name in names}

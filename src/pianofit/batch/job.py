@@ -2,47 +2,35 @@
 
 Two jobs with the same hash have the same result, bit for bit, on one kind of processor with one number of threads. The
 hash covers the contents of the recordings, their given values, the settings, and the versions of code and libraries.
-It does not cover paths and times. A worker receives a job and returns the bytes of the result files. It writes only
-into a scratch folder, which it removes.
+It does not cover paths and times. Remarks on the jobs of a library, before any fit, are here too.
 """
 
 from __future__ import annotations
 
-import errno
 import functools
 import hashlib
 import json
 import re
-import socket
-import sys
-import tempfile
-import time
-import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+
+import msgspec
 
 from .. import __version__
-from ..analysis import analyse
-from ..analysis.note_names import SAME_KEY_CENTS, cents_above, hz_to_note, note_to_hz, note_to_midi
-from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io.files import DISK_FULL, printable, read_file, replace_strings, write_error
+from ..errors import RecordingError
+from ..io.files import printable, read_file
 from ..io.number_format import counted
-from ..recording.recording import MAX_BYTES, layout_of, load_recording
-from .manifest import Key
+from ..recording.recording import MAX_BYTES, is_sound, layout_of, readable_formats
+from .library_files import files_in, first_of
+from .manifest import Key, Sample
 
-__all__ = ["JobResult", "Settings", "Source", "Job", "fit_job", "make_job", "versions"]
-
-SCHEMA = 1
-# cents: a note name further than this from the pitch is wrong. Old pianos and stretched trebles stay below.
-PITCH_TOLERANCE = 60.0
-MIN_PARTIALS = 3  # partials that a recording needs if the key has others, as in a fit
-# Errors of the disk, not of a job: the batch stops, and no job counts as failed.
-DISK_ERRORS = (*DISK_FULL, errno.EROFS)
+__all__ = ["Settings", "Source", "Job", "UnusedFile", "make_job", "versions", "layout_remarks", "unused_files"]
 
 
-class Settings(NamedTuple):
+@dataclass(frozen=True)
+class Settings:
     """Settings that all keys of a batch share."""
 
     seed: int = 0
@@ -51,7 +39,8 @@ class Settings(NamedTuple):
     setup: str = ""  # text of a setup.toml without recordings
 
 
-class Source(NamedTuple):
+@dataclass(frozen=True)
+class Source:
     """One recording of a job."""
 
     path: str  # absolute
@@ -65,8 +54,18 @@ class Source(NamedTuple):
     rate: int = 0  # Hz
     error: str = ""  # why it cannot be read
 
+    def row(self, folder: Path) -> list[str]:
+        """Its path relative to a folder, what is given about it, and its layout, as text."""
+        file, base = Path(self.path), folder.resolve()
+        place = file.relative_to(base).as_posix() if file.is_relative_to(base) else file.name
+        velocity = f"{self.velocity:g} m/s" if self.velocity is not None else ""
+        given = {"layer": self.layer, "velocity": velocity, "group": self.group}
+        about = ", ".join(f"{name} {printable(value)}" for name, value in given.items() if value) or "no layer"
+        return [printable(place), about, self.error or f"{counted(self.channels, 'channel')}, {self.rate} Hz"]
 
-class Job(NamedTuple):
+
+@dataclass(frozen=True)
+class Job:
     """One key to fit."""
 
     key: str
@@ -84,35 +83,31 @@ class Job(NamedTuple):
     @property
     def hash(self) -> str:
         """Hash of everything that the result depends on."""
-        return _hash([SCHEMA, self.parts])
+        return _hash(self.parts)
 
     @property
     def setup(self) -> str:
         """Text of its `setup.toml`; empty if no values are given."""
-        entries = [
-            "\n[[recording]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in entry.items() if v not in (None, ""))
-            for s in self.sources
-            if (s.velocity, s.group, s.stroke) != (None, "", "")
-            for entry in [{"file": s.name, "v_H0": s.velocity, "group": s.group, "stroke": s.stroke}]
-        ]
-        return self.settings.setup + "".join(entries)
+        text = self.settings.setup
+        for s in self.sources:
+            given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke}
+            if given := {name: value for name, value in given.items() if value not in (None, "")}:
+                # The text of a JSON value is a TOML value, except for escaped surrogates.
+                values = (f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in ({"file": s.name} | given).items())
+                text += "\n[[recording]]\n" + "".join(values)
+        return text
 
 
-class JobResult(NamedTuple):
-    """Result of a job: its files, or the reason of its failure."""
+@dataclass(frozen=True)
+class UnusedFile:
+    """A file that is not used."""
 
-    files: dict[str, bytes]
-    error: str = ""  # reason of the failure; empty if the key was fitted
-    detected_note: str = ""  # if it differs from the note of the key
-    left_out: tuple[dict[str, str], ...] = ()  # recordings that could not be used: file and reason
-    detail: str = ""  # traceback of an unexpected error
-    seconds: float = 0.0
-    memory: int = 0  # largest resident set of the worker so far, bytes
-    stop: bool = False  # True if other jobs would fail in the same way, such as on a full disk
+    file: str
+    reason: str
 
 
-def _hash(document: object) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
+def _hash(value: object) -> str:
+    return hashlib.sha256(msgspec.json.encode(value, order="sorted")).hexdigest()
 
 
 @functools.cache
@@ -131,14 +126,13 @@ def make_job(key: Key, settings: Settings) -> Job:
     Raises `RecordingError` if a recording cannot be read, or if two recordings of the key are identical.
     """
     sources: list[Source] = []
-    for sample, name in zip(key.samples, _names(key), strict=True):
+    for sample, name in zip(key.samples, _names(key.samples), strict=True):
         data = read_file(sample.file, MAX_BYTES, RecordingError)
         digest = hashlib.sha256(data).hexdigest()
         for other in sources:
             if other.sha256 == digest:
-                raise RecordingError(
-                    f"{printable(sample.file)} and {printable(other.path)} are the same recording; list it once"
-                )
+                same = f"{printable(sample.file)} and {printable(other.path)}"
+                raise RecordingError(f"{same} are the same recording; list it once")
         given = sample.velocity, sample.group, sample.stroke, sample.layer
         sources.append(Source(str(sample.file), name, digest, *given, *_layout(data)))
     return Job(key.name, key.note, tuple(sources), settings, versions())
@@ -153,227 +147,72 @@ def _layout(data: bytes) -> tuple[int, int, str]:
     return layout.channels, layout.rate, ""
 
 
-def _names(key: Key) -> list[str]:
-    """A name for every recording, derived from its file name. Its stem is unique within the key."""
+def _names(samples: Sequence[Sample]) -> list[str]:
+    """A name for every recording of a key, derived from its file name. Its stem is unique."""
     names: list[str] = []
-    stems = [s.file.stem.casefold() for s in key.samples]
-    for i, sample in enumerate(key.samples):
+    stems = [s.file.stem.casefold() for s in samples]
+    for i, sample in enumerate(samples):
         prefix = f"{sample.group or sample.file.parent.name}-" if stems.count(stems[i]) > 1 else ""
         stem = re.sub(r"[^\w.#+ ()-]", "_", prefix + sample.file.stem)[:100]
         used = {Path(n).stem.casefold() for n in names}
-        unique = stem if stem.casefold() not in used else f"{stem}-{i + 1}"
-        names.append(unique + sample.file.suffix.lower())
+        names.append((f"{stem}-{i + 1}" if stem.casefold() in used else stem) + sample.file.suffix.lower())
     return names
 
 
-def fit_job(
-    job: Job,
-    contents: Sequence[bytes] | None = None,
-    scratch: str | None = None,
-    report_progress: Callable[[str], None] = lambda _: None,
-) -> JobResult:
-    """Fit one job and return its files. Errors of the job are returned, not raised.
-
-    Parameters
-    ----------
-    contents : bytes of the recordings; None to read them at their paths.
-    scratch : folder in which a temporary folder is created.
-    report_progress : called with the name of every stage when it begins.
-    """
-    began = time.monotonic()
-    try:
-        if other := _other_versions(job):
-            return JobResult({}, other, stop=True)
-        with tempfile.TemporaryDirectory(dir=scratch, prefix="pianofit-") as place:
-            result = _fit_in(Path(place), job, contents, report_progress)
-    except PianofitError as error:
-        full = isinstance(error.__cause__, OSError) and error.__cause__.errno in DISK_ERRORS
-        result = JobResult({}, str(error), stop=full)
-    except OSError as error:
-        reason = write_error(scratch or tempfile.gettempdir(), error, "check that disk")
-        result = JobResult({}, f"{socket.gethostname()}: {reason}", stop=error.errno in DISK_ERRORS)
-    except MemoryError:
-        result = JobResult({}, "not enough memory; give fewer or shorter recordings, or increase --memory")
-    except Exception as error:
-        reason = printable(f"the program failed with {type(error).__name__}: {error}")[:300]
-        result = JobResult({}, reason, detail=traceback.format_exc())
-    return result._replace(seconds=time.monotonic() - began, memory=_peak_memory())
+def layout_remarks(jobs: Sequence[Job]) -> list[str]:
+    """Remarks on recordings whose channels or rates differ within a key, and on keys that differ from others."""
+    within, between = [], []
+    for quantity, title in (("channels", "channels"), ("rate", "sample rates")):
+        files = {job.key: layout for job in jobs if (layout := _files_by_layout(job, quantity))}
+        keys: dict[tuple[int, ...], list[str]] = {}
+        for key, layout in files.items():
+            keys.setdefault(tuple(sorted(layout)), []).append(key)
+        within += [_mixture(quantity, values, keys[values], files) for values in keys if len(values) > 1]
+        if len(keys) > 1:
+            ordered = sorted(keys.items(), key=lambda entry: -len(entry[1]))
+            groups = [f"{_amount(quantity, values)}: {first_of(names)}" for values, names in ordered]
+            between.append(f"the keys differ in their {title}: {'; '.join(groups)}")
+    return within + between
 
 
-def _peak_memory() -> int:
-    """Largest resident set of this process, bytes."""
-    if sys.platform == "win32":
-        return 0
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
-
-
-def _other_versions(job: Job) -> str:
-    """Reason if this worker has other versions than the batch; else empty."""
-    for name, wanted in job.versions.items():
-        if (here := versions().get(name)) != wanted:
-            return f"the worker on {socket.gethostname()} has {name} {here}, the batch {wanted}; install the same there"
-    return ""
-
-
-def _fit_in(
-    place: Path, job: Job, contents: Sequence[bytes] | None, report_progress: Callable[[str], None]
-) -> JobResult:
-    """Fit in the folder `place`. Recordings that cannot be used are left out if others can be used."""
-    files = _stage_inputs(place, job, contents)
-    (out := place / "out").mkdir()
-    left_out: list[tuple[Path, str]] = []
-    try:
-        try:
-            _fit(job, files, place, out, report_progress)
-        except OutputError:
-            raise
-        except PianofitError:
-            report_progress("each recording alone")
-            left_out = _unusable(files, job)
-            files = [f for f in files if f not in [bad for bad, _ in left_out]]
-            if not left_out or not files:
-                raise
-            _fit(job, files, place, out, report_progress)
-    except OutputError:
-        raise
-    except PianofitError as error:
-        reason = left_out[0][1] if left_out and not files else str(error)
-        if len(left_out) > 1 and not files:
-            reason = f"none of its {len(left_out)} recordings can be used: {reason}"
-        detected_note = _detected_note(job, files or [f for f, _ in left_out])
-        return JobResult({}, replace_strings(reason, _file_names(place, job)), detected_note=detected_note)
-    outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
-    if job.setup:
-        outputs["setup.toml"] = job.setup.encode()
-    paths, names = _paths(place, job), _file_names(place, job)
-    unused = [{"file": paths[str(file)], "reason": replace_strings(reason, names)} for file, reason in left_out]
-    return JobResult(outputs, left_out=tuple(unused))
-
-
-def _paths(place: Path, job: Job) -> dict[str, str]:
-    """Original paths of the recordings by their paths in the scratch folder, whose name differs in every run."""
-    return {str(place / "in" / source.name): source.path for source in job.sources}
-
-
-def _file_names(place: Path, job: Job) -> dict[str, str]:
-    """File names by the same paths, for messages. Tables and pages must not contain folders of this machine."""
-    return {scratch: printable(Path(path).name) for scratch, path in _paths(place, job).items()}
-
-
-def _stage_inputs(place: Path, job: Job, contents: Sequence[bytes] | None) -> list[Path]:
-    """Copy the recordings into one folder, under their names in the job, and check their hashes."""
-    (folder := place / "in").mkdir()
-    files = []
-    for i, source in enumerate(job.sources):
-        data = read_file(source.path, MAX_BYTES, RecordingError) if contents is None else contents[i]
-        if hashlib.sha256(data).hexdigest() != source.sha256:
-            raise RecordingError(
-                f"{printable(Path(source.path).name)}: has changed since the batch began; run it again"
-            )
-        files.append(folder / source.name)
-        files[-1].write_bytes(data)
+def _files_by_layout(job: Job, quantity: str) -> dict[int, list[str]]:
+    """Names of the readable recordings by their channels or rate. Channels are ignored if the settings choose one."""
+    files: dict[int, list[str]] = {}
+    if quantity == "rate" or job.settings.channel == "average":
+        for source in (source for source in job.sources if not source.error):
+            files.setdefault(getattr(source, quantity), []).append(printable(Path(source.path).name))
     return files
 
 
-def _fit(job: Job, files: list[Path], place: Path, out: Path, report_progress: Callable[[str], None]) -> None:
-    """Fit `files` into `out`. The results contain the original paths.
-
-    Raises `AnalysisError` if the pitch is not that of the note.
-    """
-    from ..fitting import fit
-    from ..model.program_cache import enable_program_cache
-
-    setup = None
-    if job.setup:
-        setup = place / "setup.toml"
-        setup.write_text(job.setup, encoding="utf-8")
-    enable_program_cache()
-    result = fit(
-        *files, setup=setup, note=job.note, channel=job.settings.channel, seed=job.settings.seed,
-        progress=_once_per_stage(report_progress),
-    )  # fmt: skip
-    if reason := _wrong_note(job.note, result.document["derived"]["f0"]):
-        raise AnalysisError(reason)
-    result.document.update(replace_strings(result.document, _paths(place, job)))
-    result.save(out, force=True, page=False)
-    if job.settings.page:
-        report_progress("page")
-        result.report(out, title=f"{job.key}: " + ", ".join(printable(file.name) for file in files))
+def _mixture(
+    quantity: str, values: tuple[int, ...], keys: Sequence[str], files: dict[str, dict[int, list[str]]]
+) -> str:
+    """Remark on the keys that mix these values. It names the files with the rarest one."""
+    rare = min(values, key=lambda value: sum(len(files[key][value]) for key in keys))
+    names = first_of([file for key in keys for file in files[key][rare]])
+    effect, hint = f"and are resampled to {max(values)} Hz", ""
+    if quantity == "channels":
+        effect, hint = "so the sound of the key is mono", ". Leave these out, or choose one --channel for all"
+    mixed = f"{first_of(keys)}: recordings with {_amount(quantity, values)} are mixed, {effect}"
+    return f"{mixed}; {_amount(quantity, (rare,))}: {names}{hint}"
 
 
-def _unusable(files: list[Path], job: Job) -> list[tuple[Path, str]]:
-    """Recordings that cannot be analysed or belong to another key, with the reason."""
-    failed, pitches = [], {}
-    for file in files:
-        try:
-            analysis = analyse(load_recording(file, channel=job.settings.channel), note=job.note)
-            if len(analysis.partials) < MIN_PARTIALS and len(files) > 1:
-                failed.append((file, f"{file}: only {counted(len(analysis.partials), 'partial')} above its noise"))
-            else:
-                pitches[file] = analysis.f0
-        except PianofitError as error:
-            failed.append((file, str(error)))
-    return failed + [
-        (file, f"{file}: sounds at {pitches[file]:.1f} Hz, nearer to {hz_to_note(pitches[file])}, and the other "
-         f"recordings of {job.note} at {key:.1f} Hz")
-        for file, key in _of_another_key(pitches, job.note).items()
-    ]  # fmt: skip
+def _amount(quantity: str, values: tuple[int, ...]) -> str:
+    text = " and ".join(map(str, values))
+    return f"{text} Hz" if quantity == "rate" else f"{text} channel{'s' * (values != (1,))}"
 
 
-def _of_another_key(pitches: Mapping[Path, float], note: str) -> dict[Path, float]:
-    """Recordings of another key than `note`, each with the pitch of the key, Hz. Empty if no recording is of the key.
-
-    A string has one pitch. The key is the largest set of recordings within `SAME_KEY` of one another whose pitch agrees
-    with `note`. If two sets are equally large, the set nearest to the note is used.
-    """
-
-    def cents(a: float, b: float) -> float:
-        return abs(cents_above(a, b))
-
-    set_sizes = {
-        f0: sum(cents(f0, other) <= SAME_KEY_CENTS for other in pitches.values())
-        for f0 in pitches.values()
-        if not _wrong_note(note, f0)
-    }
-    if not set_sizes:
-        return {}
-    key = max(set_sizes, key=lambda f0: (set_sizes[f0], -cents(f0, note_to_hz(note))))
-    return {file: key for file, f0 in pitches.items() if cents(f0, key) > SAME_KEY_CENTS}
-
-
-def _detected_note(job: Job, files: list[Path]) -> str:
-    """The note detected in most recordings, if it differs from the note of the key; else empty."""
-    notes = []
-    for file in files:
-        try:
-            notes.append(hz_to_note(analyse(load_recording(file, channel=job.settings.channel)).f0))
-        except PianofitError:
+def unused_files(source: Path, jobs: Sequence[Job]) -> list[UnusedFile]:
+    """Files in the folder of a manifest that no key uses, with the reason."""
+    folder = source if source.is_dir() else source.parent
+    used = {file.path for job in jobs for file in job.sources}
+    unused = []
+    for name in files_in(folder):
+        if str((folder / name).resolve()) in used:
             continue
-    common = max(notes, key=notes.count, default="")
-    differs = common and note_to_midi(common) != note_to_midi(job.note)
-    return common if differs and 2 * notes.count(common) > len(notes) else ""
-
-
-def _wrong_note(note: str, f0: float) -> str:
-    """Reason if the pitch `f0` (Hz) does not agree with `note`; else empty."""
-    cents = cents_above(f0, note_to_hz(note))
-    if abs(cents) <= PITCH_TOLERANCE:
-        return ""
-    return (f"note {note} is {note_to_hz(note):.1f} Hz, but the string sounds at {f0:.1f} Hz, {cents:+.0f} cents from "
-            f"it: {hz_to_note(f0)}")  # fmt: skip
-
-
-def _once_per_stage(report_progress: Callable[[str], None]) -> Callable[[str, float], None]:
-    """A progress function of a fit that reports every stage once, when it begins."""
-    last = ""
-
-    def progress(stage: str, _: float) -> None:
-        nonlocal last
-        if stage != last:
-            last = stage
-            report_progress(stage)
-
-    return progress
+        if is_sound(name):
+            reason = "does not fit the pattern" if source.is_dir() else f"is not used by {printable(source.name)}"
+            unused.append(UnusedFile(printable(name), reason))
+        elif source.is_dir():
+            unused.append(UnusedFile(printable(name), f"is none of {readable_formats()}"))
+    return unused

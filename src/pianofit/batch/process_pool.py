@@ -16,38 +16,22 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from .job import Job, JobResult, fit_job
+from .fit_job import JobResult, Work, fit_job
+from .job import Job
 
-__all__ = ["RunningJob", "ProcessPool", "WorkerLost", "Work"]
+__all__ = ["ProcessPool", "one_thread"]
 
 MAX_JOBS_PER_WORKER = 16  # jobs
 # One thread for each library that would use all cores. They read these when they are first imported.
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
 )
-XLA_FLAG = "--xla_cpu_multi_thread_eigen=false"
-
-# Arguments: a job, the bytes of its recordings, a scratch folder, and a function that receives each stage.
-Work = Callable[[Job, list[bytes] | None, str | None, Callable[[str], None]], JobResult]
-
-
-class WorkerLost(NamedTuple):
-    """A job whose worker died."""
-
-    reason: str
-
-
-class RunningJob(NamedTuple):
-    """A job that is being fitted."""
-
-    seconds: float  # since it started
-    stage: str  # of the fit; empty if unknown
 
 
 @dataclass
@@ -72,9 +56,9 @@ class ProcessPool:
     """
 
     def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_job) -> None:
-        self.slots, self._memory, self._limit, self._work = workers, memory, time_limit, work
+        self.slots = self.capacity = workers
+        self._memory, self._limit, self._scratch, self._work = memory, time_limit, scratch, work
         scratch.mkdir(exist_ok=True)
-        self._scratch = scratch
         self._workers: list[_Worker] = []
         self._context = multiprocessing.get_context("spawn")
 
@@ -89,27 +73,24 @@ class ProcessPool:
             worker.pipe.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
+    @property
     def pending(self) -> int:
         """Number of jobs that were started and have not ended."""
         return sum(w.job is not None for w in self._workers)
 
-    def running(self) -> dict[str, RunningJob]:
+    def running(self) -> dict[str, tuple[float, str]]:
         """Running keys with seconds since their start, and stage."""
         now = time.monotonic()
-        return {w.job.key: RunningJob(now - w.since, w.stage) for w in self._workers if w.job is not None}
-
-    def has_capacity(self) -> bool:
-        """True if another job can be started."""
-        return self.pending() < self.slots
+        return {w.job.key: (now - w.since, w.stage) for w in self._workers if w.job is not None}
 
     def submit(self, job: Job) -> None:
         """Start a job on a free worker, or on a new one."""
         worker = next((w for w in self._workers if w.job is None), None) or self._start()
         worker.job, worker.since, worker.stage = job, time.monotonic(), ""
         with contextlib.suppress(OSError):  # a dead worker is detected by its sentinel
-            worker.pipe.send((job, None, str(self._scratch)))
+            worker.pipe.send(job)
 
-    def finished(self, timeout: float) -> list[tuple[Job, JobResult | WorkerLost]]:
+    def finished(self, timeout: float) -> list[tuple[Job, JobResult]]:
         """Wait up to `timeout` seconds for a job to end, and return the jobs that ended."""
         busy = [w for w in self._workers if w.job is not None]
         ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
@@ -127,7 +108,7 @@ class ProcessPool:
                 ended.append((job, outcome))
         return ended
 
-    def _collect(self, worker: _Worker, dead: bool) -> JobResult | WorkerLost | None:
+    def _collect(self, worker: _Worker, dead: bool) -> JobResult | None:
         """Result of the job of a worker, or None while the job goes on. Stages are stored on the way."""
         try:
             while worker.pipe.poll():
@@ -140,7 +121,7 @@ class ProcessPool:
                 worker.stage = message
         except (EOFError, OSError):
             dead = True
-        return WorkerLost(self._retire(worker)) if dead else None
+        return JobResult({}, self._retire(worker), lost=True) if dead else None
 
     def _retire(self, worker: _Worker, patience: float = 5.0) -> str:
         """Remove a worker and return how it ended."""
@@ -158,18 +139,19 @@ class ProcessPool:
 
     def _start(self) -> _Worker:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(theirs, self._work, self._memory), daemon=True)
+        given = (theirs, self._work, self._memory, str(self._scratch))
+        worker = _Worker(self._context.Process(target=_serve, args=given, daemon=True), ours)
         with one_thread():
-            process.start()
+            worker.process.start()
         theirs.close()
-        self._workers.append(_Worker(process, ours))
-        return self._workers[-1]
+        self._workers.append(worker)
+        return worker
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
     """Give processes started in this context one thread for numerical libraries."""
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {XLA_FLAG}".strip()
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
     before = {name: os.environ.get(name) for name in (*ONE_THREAD, "XLA_FLAGS", "JAX_PLATFORMS")}
     os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -182,7 +164,7 @@ def one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(pipe: connection.Connection, work: Work, memory: int) -> None:
+def _serve(pipe: connection.Connection, work: Work, memory: int, scratch: str) -> None:
     """Run jobs from the pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the batch handles Ctrl-C and ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -194,10 +176,10 @@ def _serve(pipe: connection.Connection, work: Work, memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     while True:
         try:
-            job, contents, scratch = pipe.recv()
+            job = pipe.recv()
         except EOFError:
             return
-        pipe.send(work(job, contents, scratch, pipe.send))
+        pipe.send(work(job, None, scratch, pipe.send))
 
 
 def _end_with_parent() -> None:

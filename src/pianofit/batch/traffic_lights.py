@@ -13,7 +13,7 @@ from ..analysis.note_names import note_to_hz
 from ..errors import AnalysisError
 from ..io.number_format import is_number
 from ..report.text import SYMBOLS
-from .job_records import Entry
+from .records import Entry
 
 __all__ = ["LIGHTS", "MATCH_LIMITS", "RING_LIMITS", "TUNING_LIMITS", "Light", "lights"]
 

@@ -17,10 +17,12 @@ from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result
+from ..result.build_result import derived_of, pickup_of, record_of
 from ..result.comparison import RecordingComparison, worse_bands
-from ..result.records import derived_of, fixed_quantity, pickup_of, record_of, sizes
+from ..result.estimates import fixed_quantity, sizes
 from ..result.warnings import AT_BOUND, NOT_CONVERGED
-from ..schema.fit import Criterion, Diagnostics, Fit, package_versions
+from ..schema.diagnostics import Diagnostics
+from ..schema.fit import Criterion, Fit, package_versions
 from ..schema.quantities import Covariance, Quantities, Status
 
 __all__ = ["point_result"]

@@ -11,8 +11,9 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,7 +28,7 @@ from .options import Channel, Json, Seed, choice, number, whole
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
-    from ..batch import Job, Progress, Settings
+    from ..batch import Job, Progress, Settings, Status
 
 __all__ = ["batch", "status"]
 
@@ -124,17 +125,17 @@ def batch(
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        units = _units(manifest, keys, _settings(setup, channel, seed, page))
-        for remark in [*remarks, *layout_remarks(units)]:
+        jobs = _jobs(manifest, keys, _settings(setup, channel, seed, page))
+        for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
-            _print_plan(manifest, units, plan_jobs(units, out, retry_failed), as_json)
+            _print_plan(manifest, jobs, plan_jobs(jobs, out, retry_failed), as_json)
             return
         with _progress_printer() as progress:
             make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
-            result = run_batch(units, out, make_workers, retry_failed=retry_failed, tell=progress)
-        print_result(result, _summary(result), as_json)
-    if result["counts"]["failed"]:
+            result = run_batch(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
+        print_result(asdict(result), _summary(result), as_json)
+    if result.counts["failed"]:
         raise typer.Exit(3)
 
 
@@ -145,11 +146,10 @@ def status(
     from ..batch import status as run
 
     result = run(folder)
-    print_result(result, _summary(result), as_json)
+    print_result(asdict(result), _summary(result), as_json)
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-
     check_range("--workers ", 1 if workers is None else workers, 1, 1024)
     check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
     check_range("--time-limit ", time_limit, 1, 1e6, " s")
@@ -171,24 +171,24 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
     return Settings(seed, channel, page, text)
 
 
-def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
+def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
     import tomllib
 
     from ..batch import make_job
-    from ..batch.manifest import first_problems
+    from ..batch.library_files import first_of
 
-    units, problems = [], []
+    jobs, problems = [], []
     for key in keys:
         try:
-            unit = make_job(key, settings)
-            setup_from_dict(tomllib.loads(unit.setup), key.name)
-            units.append(unit)
+            job = make_job(key, settings)
+            setup_from_dict(tomllib.loads(job.setup), key.name)
+            jobs.append(job)
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        raise SetupError(f"{printable(manifest)}: {first_problems(problems)}; nothing was started")
-    return units
+        raise SetupError(f"{printable(manifest)}: {first_of(problems, '; ')}; nothing was started")
+    return jobs
 
 
 def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
@@ -252,58 +252,48 @@ def _print_event(p: Progress) -> None:
         typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
-def _print_plan(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
+def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_json: bool) -> None:
     """Print the keys with their files, and the files that would not be read."""
-    from ..batch import recording_rows, unused_files
+    from ..batch import unused_files
 
-    folder, missed = manifest if manifest.is_dir() else manifest.parent, unused_files(manifest, units)
-    rows = [
-        {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
-         "recordings": [s._asdict() for s in u.sources]}
-        for u in units
-    ]  # fmt: skip
-    lines = []
-    for unit in units:
-        lines.append(f"{unit.key}: {unit.note}, {counted(len(unit.sources), 'recording')}, {standing[unit.key]}")
-        lines += [f"  {line}" for line in columns(recording_rows(unit, folder), right=-1)]
+    folder, missed = manifest if manifest.is_dir() else manifest.parent, unused_files(manifest, jobs)
+    lines, rows = [], []
+    for job in jobs:
+        rows.append({"key": job.key, "note": job.note, "hash": job.hash, "standing": standing[job.key]})
+        rows[-1]["recordings"] = [asdict(source) for source in job.sources]
+        lines.append(f"{job.key}: {job.note}, {counted(len(job.sources), 'recording')}, {standing[job.key]}")
+        lines += [f"  {line}" for line in columns([source.row(folder) for source in job.sources], right=-1)]
     lines += ["not read:"] * bool(missed)
     lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
-    lines.append(f"{todo} of {counted(len(units), 'key')} to do; nothing was written")
-    print_result({"keys": rows, "unread": [file._asdict() for file in missed]}, "\n".join(lines) + "\n", as_json)
+    lines.append(f"{todo} of {counted(len(jobs), 'key')} to do; nothing was written")
+    print_result({"keys": rows, "unread": [asdict(file) for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
-def _summary(result: dict[str, Any]) -> str:
+def _summary(result: Status) -> str:
     """Summary of all keys for a terminal."""
-    from ..batch.job_records import Entry
-
-    count = {state: n for state, n in result["counts"].items() if n}
-    left = _format_time_left(count.get("running", 0) + count.get("waiting", 0), result.get("seconds_left"))
-    at_work = (
-        ""
-        if "at_work" not in result
-        else f"; a batch is at work{left}"
-        if result["at_work"]
-        else "; no batch is at work"
-    )
-    lines = [
-        ", ".join(f"{n} {state}" for state, n in count.items()) + f" of {counted(len(result['keys']), 'key')}{at_work}"
-    ]
-    if result["median_seconds"]:
-        memory = f"at most {result['largest_memory'] / 2**30:.2f} GiB a process"
-        lines.append(f"median {result['median_seconds']:.1f} s a key, {memory}")
-    if running := [(k["key"], k["stage"]) for k in result["keys"] if k["state"] == "running"]:
+    count = {state: n for state, n in result.counts.items() if n}
+    at_work = ""
+    if result.at_work is not None:
+        left = _format_time_left(count.get("running", 0) + count.get("waiting", 0), result.seconds_left)
+        at_work = f"; a batch is at work{left}" if result.at_work else "; no batch is at work"
+    states = ", ".join(f"{n} {state}" for state, n in count.items())
+    lines = [f"{states} of {counted(len(result.keys), 'key')}{at_work}"]
+    if result.median_seconds:
+        memory = f"at most {result.largest_memory / 2**30:.2f} GiB a process"
+        lines.append(f"median {result.median_seconds:.1f} s a key, {memory}")
+    if running := [(entry.key, entry.stage) for entry in result.keys if entry.state == "running"]:
         lines.append(f"at work: {_running_keys(running)}")
-    failed = [k for k in result["keys"] if k["state"] == "failed"]
-    lines += [f"failed: {key['key']}: {printable(Entry(**key).failure_text)}" for key in failed[:LISTED]]
+    failed = [entry for entry in result.keys if entry.state == "failed"]
+    lines += [f"failed: {entry.key}: {printable(entry.failure_text)}" for entry in failed[:LISTED]]
     if len(failed) > LISTED:
         lines.append(f"and {len(failed) - LISTED} more failed; --json lists all")
-    for key in result["keys"]:
-        lines += [f"left out: {key['key']}: {printable(x['reason'])}" for x in key["left_out"][:LISTED]]
-    lines += result["suggestions"][:LISTED]
-    if result.get("strangers"):
-        lines.append(f"also in keys/, from an earlier run: {', '.join(result['strangers'][:LISTED])}")
+    for entry in result.keys:
+        lines += [f"left out: {entry.key}: {printable(unused.reason)}" for unused in entry.left_out[:LISTED]]
+    lines += result.suggestions[:LISTED]
+    if result.strangers:
+        lines.append(f"also in keys/, from an earlier run: {', '.join(result.strangers[:LISTED])}")
     if count.get("done"):
-        lines.append(f"{result['folder']}: index.html shows all keys, keys.csv has the numbers, keys/KEY/ has the fit")
-        lines.append(f"play them with: pianofit page {printable(shlex.quote(result['folder']))}")
+        lines.append(f"{result.folder}: index.html shows all keys, keys.csv has the numbers, keys/KEY/ has the fit")
+        lines.append(f"play them with: pianofit page {printable(shlex.quote(result.folder))}")
     return "\n".join(lines) + "\n"

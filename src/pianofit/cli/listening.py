@@ -76,5 +76,5 @@ def _count(files: list[Path], as_json: bool) -> None:
         low, high = c.interval
         share = f"{c.hits / c.of:7.3f}  [{low:.3f}, {high:.3f}]"
         lines.append(f"{c.condition:{width}} {c.hits:5} {c.of:4} {share}  {c.p:12.4g}")
-    document = {"files": [str(file) for file in files], "conditions": [c._asdict() for c in counts]}
+    document = {"files": [str(file) for file in files], "conditions": [vars(c) for c in counts]}
     print_result(document, "\n".join(lines) + "\n", as_json)

@@ -12,19 +12,19 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from .. import __version__
-from ..io.files import json_text, replace_file
+from ..io.files import replace_file
 from ..report.html import write_page
 from ..report.sound import Clip, make_clips
+from ..schema.decode import builtins_of, encode_json
+from ..schema.listening import ListeningKey, SoundIdentity, TrialEntry
 
-__all__ = ["ANSWERS", "ListeningSound", "Question", "write_listening"]
+__all__ = ["ListeningSound", "Question", "write_listening"]
 
-# Schema of saved answers and of keys.
-ANSWERS = 2
 # Time that a listener needs for one question, min.
 MINUTES = 0.25
 
@@ -103,18 +103,21 @@ def write_listening(
     names = {sound: f"s{n:03d}" for sound, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
     trials = list(_draw_trials(questions, draw))
     clips = make_clips({name: sound.samples for sound, name in names.items()}, rate, onset, seconds=seconds)
-    facts = {"schema": ANSWERS, "program": program, "version": __version__, "seed": seed}
-    hidden: dict[str, Any] = {
-        "sounds": {name: {"what": sound.what, "case": sound.case} for sound, name in names.items()},
-        "trials": [
-            {"condition": t.question.condition, "kind": t.question.kind}
-            | {role: names[getattr(t, role)] for role in ("reference", "a", "b", "hit")}
+    hidden = ListeningKey(
+        program=program,
+        version=__version__,
+        seed=seed,
+        sounds={name: SoundIdentity(sound.what, sound.case) for sound, name in names.items()},
+        trials=tuple(
+            TrialEntry(
+                t.question.condition, t.question.kind, *(names[sound] for sound in (t.reference, t.a, t.b, t.hit))
+            )
             for t in trials
-        ],
-    }
-    test = facts | {
+        ),
+    )
+    test = {name: getattr(hidden, name) for name in ("schema", "program", "version", "seed")} | {
         "sounds": {clip.name: clip.text for clip in sorted(clips, key=lambda c: c.name)},
-        "hidden": base64.b64encode(json.dumps(hidden).encode()).decode(),
+        "hidden": base64.b64encode(json.dumps(builtins_of(hidden)).encode()).decode(),
     }
     counts = {kind: sum(t.question.kind == kind for t in trials) for kind in ("abx", "nearer")}
     write_page(
@@ -123,7 +126,7 @@ def write_listening(
         count=len(trials), about=about, origin=origin, minutes=max(1, round(MINUTES * len(trials))),
         controls=sum(t.question.condition.startswith("hidden reference") for t in trials),
     )  # fmt: skip
-    replace_file(key, json_text(facts | hidden).encode())
+    replace_file(key, encode_json(hidden))
     return [*zip(sounds, clips, strict=True)]
 
 

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import RecordingError
-from ..io.files import MAX_FIT_BYTES, load_json, printable, read_file
+from ..io.files import printable, read_file
 from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
 from ..report.save import stroke_names
+from ..schema.fit import read_fit
 
 __all__ = ["Place", "load_pair", "pairs_of"]
 
@@ -128,15 +129,9 @@ def _fits_in(side: Path) -> Fits:
 
 def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:
     """Yield hash and fitted sound of each recording of a fit."""
-    document = load_json(file, MAX_FIT_BYTES, "a fit.json", "fit the recordings again")
-    rows = document.get("recordings") if isinstance(document, dict) else None
-    rows = [
-        row
-        for row in (rows if isinstance(rows, list) else ())
-        if isinstance(row, dict) and isinstance(row.get("file"), str)
-    ]
-    stems = [Path(row["file"]).stem for row in rows]
-    for row, stem, name in zip(rows, stems, stroke_names(stems) or ["fitted.wav"], strict=False):
+    recordings = read_fit(file).recordings
+    stems = [Path(recording.file).stem for recording in recordings]
+    for recording, stem, name in zip(recordings, stems, stroke_names(stems) or ["fitted.wav"], strict=False):
         if (sound := file.parent / name).is_file():
-            channel = str(row.get("channel", "average"))
-            yield str(row.get("sha256")), Fit(stem, "average" if channel == "mono" else channel, sound)
+            channel = "average" if recording.channel == "mono" else recording.channel
+            yield recording.sha256, Fit(stem, channel, sound)

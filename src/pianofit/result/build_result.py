@@ -8,19 +8,21 @@ from typing import Any
 import numpy as np
 
 from ..analysis import cents_above
+from ..felt import law_of
 from ..inference import InferenceResult, IntervalResult
 from ..inference.parametrisation import LOG_ABSENT_LOSS
 from ..model.note import Note
 from ..schema.decode import convert
+from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
 from ..schema.fit import (
-    Correlation,
-    Diagnostics,
-    ExcessSd,
+    Derived,
     Fit,
+    GlideWindow,
     Minimum,
-    PathPrior,
-    PosteriorDiagnostics,
-    ProfileCurve,
+    PartialLevels,
+    PathEntry,
+    Pickup,
+    Recontact,
     RecordingFit,
     VelocityDiscrepancyEntry,
     package_versions,
@@ -32,13 +34,10 @@ from .draws import Draws
 from .estimates import invariants, parameters, stroke_velocities
 from .fitted_recording import FittedRecording
 from .notes import notes_of
-from .records import derived_of, pickup_of, record_of
 from .result import Result
 from .statement import identifiability_statement, strong_correlations
 from .statuses import statuses
 from .warnings import fit_warnings
-
-__all__ = ["build_result"]
 
 
 @one_blas_thread()
@@ -172,3 +171,70 @@ def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
         table["F/M_S"] = stiffness * scale ** (1 - p) * np.exp(p * u.log_reference_compression) / g.mass
     varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
     return Draws({**draws, **varying}, tuple(varying), view.log_likelihood, view.observed)
+
+
+# --- records that the paper's recipes share ---------------------------------------------------------------------------
+
+
+def record_of(
+    fitted: FittedRecording,
+    velocity: Quantity,
+    calibrated: bool,
+    *,
+    is_reference: bool = True,
+    pitch_offset_cents: float = 0.0,
+    path_group: int = 0,
+    stroke: int = 0,
+) -> RecordingFit:
+    """The record of one recording; `velocity` is that of its stroke."""
+    source, table = fitted.recording, fitted.partials
+    return RecordingFit(
+        file=source.path,
+        sha256=source.sha256,
+        channel=source.channel,
+        rate=source.rate,
+        onset_s=source.onset / source.rate,
+        v_H0=velocity.value,
+        v_H0_interval=velocity.interval,
+        v_H0_status=velocity.status,
+        v_H0_initial=velocity.initial,
+        note=fitted.analysis.note,
+        gain=fitted.fitted.note.gain,
+        gain_status="given" if calibrated else "fitted",
+        is_reference=is_reference,
+        pitch_offset_cents=pitch_offset_cents,
+        path_group=path_group,
+        stroke=stroke,
+        criterion=fitted.criterion,
+        levels=fitted.levels,
+        partials=PartialLevels(
+            table.number, fitted.level, table.level_error, fitted.initial.level, fitted.fitted.level
+        ),
+    )
+
+
+def pickup_of(quantity: str, recordings: Sequence[FittedRecording], records: Sequence[RecordingFit]) -> Pickup:
+    """What was recorded, with the output paths of the reference recording and, if there are several, of all groups."""
+    pairs = zip(recordings, records, strict=True)
+    paths = {str(record.path_group): PathEntry.of(fitted.fitted.note.path) for fitted, record in pairs}
+    reference = next(str(record.path_group) for record in records if record.is_reference)
+    several = {group: path for group, path in paths.items() if path is not None and len(paths) > 1}
+    return Pickup(quantity, paths[reference], several)  # pyright: ignore[reportArgumentType]
+
+
+def derived_of(fitted: FittedRecording) -> Derived:
+    """Quantities computed from the parameters and from the simulated stroke."""
+    note, simulation, analysis = fitted.fitted.note, fitted.fitted.simulation, fitted.analysis
+    compression = float(simulation.pulse.compression.max())
+    return Derived(
+        f0=float(note.f0),
+        B=float(note.B),
+        f1=float(note.f0 * np.sqrt(1 + note.B)),
+        contact_ms=1e3 * simulation.contact_time,
+        recontacts=tuple(map(Recontact.of, simulation.contacts[1:])),
+        max_force_N=float(simulation.pulse.force.max()),
+        max_compression_mm=1e3 * compression,
+        felt_force_N=float(law_of(note.hammer).force(compression, 0.0, note.hammer)),
+        glide_cents=float(analysis.glide_cents),
+        glide=tuple(GlideWindow(*window) for window in analysis.glide),
+    )

@@ -31,18 +31,6 @@ from ..recording.recording import Recording
 from ..schema.fit import BandValue, Criterion, LevelErrors
 from .fitted_recording import FittedRecording, RenderedFit
 
-__all__ = [
-    "RecordingComparison",
-    "align_attack",
-    "audible_partials",
-    "compare_recordings",
-    "estimate_contact_onset",
-    "fractional_lag",
-    "locate_template",
-    "pool_level_errors",
-    "worse_bands",
-]
-
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
 # and within this range of the strongest partial, dB, since other sounds lie below it.

@@ -30,8 +30,6 @@ from .comparison import audible_partials
 from .prediction import Prediction, predict_recording
 from .result import Result
 
-__all__ = ["CrossValidation", "LeftOutRecording", "cross_validate"]
-
 
 @dataclass(frozen=True)
 class LeftOutRecording:
@@ -128,40 +126,12 @@ def cross_validate(
         for left_out, stroke in enumerate(strokes, 1):
             report(f"without stroke {left_out} of {len(strokes)}", left_out / (len(strokes) + 1))
             others = [j for j in range(count) if fitted[j].stroke != stroke]
-            fit = build_result(
-                run_inference([sounds[j] for j in others], [analyses[j] for j in others], setup, seed=seed)
-            )
+            kept, found = [sounds[j] for j in others], [analyses[j] for j in others]
+            fit = build_result(run_inference(kept, found, setup, seed=seed))
             groups = [fitted[j].path_group for j in others]
             for i in {*range(count)}.difference(others):
                 predicted[i] = _predict(fit, groups, fitted[i].path_group, analyses[i])
-    return _scores(complete, analyses, predicted)
-
-
-def _scores(
-    complete: Result, analyses: Sequence[Analysis], predicted: Mapping[int, Prediction | None]
-) -> CrossValidation:
-    """The errors of every recording, by velocity, and their median and maximum."""
-    fitted = complete.fit.recordings
-    order = sorted(range(len(fitted)), key=lambda i: fitted[i].v_H0)
-    left_out = tuple(
-        _left_out(fitted[i], predicted[i], analyses[i], [analyses[j] for j in _neighbours(i, order, fitted)])
-        for i in order
-    )
-    inner = [own.predicted_db for own in left_out if own.has_neighbours and own.predicted_db is not None]
-    warnings = [
-        f"{Path(own.file).name} cannot be predicted: no other stroke was recorded through its output path, so the "
-        "path is unknown."
-        for own in left_out
-        if own.predicted_db is None
-    ]
-    warnings += [
-        f"{Path(fitted[i].file).name} is predicted at {p.velocity:.3g} m/s, at the limit of the searched range: "
-        "its velocity could not be determined."
-        for i, p in predicted.items()
-        if p is not None and p.velocity_at_search_limit
-    ]
-    median, worst = (float(np.median(inner)), max(inner)) if inner else (None, None)
-    return CrossValidation(left_out, median, worst, tuple(warnings), complete)
+    return _validation(complete, analyses, predicted)
 
 
 def _predict(fit: Result, groups: Sequence[int], group: int, analysis: Analysis) -> Prediction | None:
@@ -173,24 +143,50 @@ def _predict(fit: Result, groups: Sequence[int], group: int, analysis: Analysis)
     return predict_recording(notes, analysis, gains=fit.fit.relative_gains(index))
 
 
-def _neighbours(i: int, order: Sequence[int], fitted: Sequence[RecordingFit]) -> list[int]:
-    """Neighbours of a recording in velocity within its group: two, one at an end of the group, or none."""
-    group = [j for j in order if fitted[j].path_group == fitted[i].path_group]
-    position = group.index(i)
-    return group[max(position - 1, 0) : position] + group[position + 1 : position + 2]
+def _validation(
+    complete: Result, analyses: Sequence[Analysis], predicted: Mapping[int, Prediction | None]
+) -> CrossValidation:
+    """The errors of every recording, by velocity, and their median and maximum."""
+    fitted = complete.fit.recordings
+    order = sorted(range(len(fitted)), key=lambda i: fitted[i].v_H0)
+    recordings = [_left_out(i, order, fitted, predicted[i], analyses) for i in order]
+    inner = [own.predicted_db for own in recordings if own.has_neighbours and own.predicted_db is not None]
+    warnings = [
+        f"{Path(own.file).name} cannot be predicted: no other stroke was recorded through its output path, so the "
+        "path is unknown."
+        for own in recordings
+        if own.predicted_db is None
+    ]
+    warnings += [
+        f"{Path(fitted[i].file).name} is predicted at {p.velocity:.3g} m/s, at the limit of the searched range: "
+        "its velocity could not be determined."
+        for i, p in predicted.items()
+        if p is not None and p.velocity_at_search_limit
+    ]
+    median, worst = (float(np.median(inner)), max(inner)) if inner else (None, None)
+    return CrossValidation(tuple(recordings), median, worst, tuple(warnings), complete)
 
 
 def _left_out(
-    fitted: RecordingFit, prediction: Prediction | None, analysis: Analysis, neighbours: Sequence[Analysis]
+    i: int,
+    order: Sequence[int],
+    fitted: Sequence[RecordingFit],
+    prediction: Prediction | None,
+    analyses: Sequence[Analysis],
 ) -> LeftOutRecording:
+    """The errors of one recording. Its neighbours are the recordings of its path group next to it in velocity."""
+    group = [j for j in order if fitted[j].path_group == fitted[i].path_group]
+    at = group.index(i)
+    neighbours = [analyses[j] for j in group[max(at - 1, 0) : at] + group[at + 1 : at + 2]]
+    errors = [_difference_db(analyses[i], other) for other in neighbours]
     return LeftOutRecording(
-        file=fitted.file,
-        v_H0=fitted.v_H0,
+        file=fitted[i].file,
+        v_H0=fitted[i].v_H0,
         predicted_v_H0=prediction.velocity if prediction else None,
         predicted_db=prediction.error_db if prediction else None,
         partials=prediction.partials if prediction else None,
-        nearest_db=min((_difference_db(analysis, other) for other in neighbours), default=None),
-        blend_db=_blend_error_db(analysis, *neighbours) if len(neighbours) == 2 else None,
+        nearest_db=min(errors, default=None),
+        blend_db=_blend_error_db(analyses[i], *neighbours) if len(neighbours) == 2 else None,
         has_neighbours=len(neighbours) == 2,
     )
 

@@ -25,8 +25,6 @@ from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..schema.fit import DrawsFile
 
-__all__ = ["DRAWS_FILE", "Draws", "encode_draws", "read_draws"]
-
 DRAWS_FILE = "draws.npz"
 # Upper limits of the file in bytes and in arrays: 2000 draws of 16,000 observations, and more names than a fit has.
 LARGEST_DRAWS, MOST_ARRAYS = 2**28, 4096

@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inference import InferenceResult, Interval, Posterior
+from ..inference import InferenceResult, InitialValues, Interval, Posterior
 from ..inference.parametrisation import LOG_ABSENT_LOSS
 from ..parameters import FIT_NAMES
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
-from .records import sizes
 from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
-
-__all__ = ["invariants", "parameters", "stroke_velocities"]
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
@@ -151,3 +148,19 @@ def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
             factors: list[Status] = [state, states[reference - shared]]
             table.append(_combined(name, fit.posterior, direction, value, "1", factors, Path(file).name))
     return table
+
+
+def fixed_quantity(name: str, value: float, status: Status) -> Quantity:
+    """A parameter that was not fitted."""
+    return Quantity(name, float(value), UNITS[name], None, status, meaning_of(name), initial=float(value))
+
+
+def sizes(start: InitialValues) -> list[Quantity]:
+    """String mass, string length, and the position of the pickup if it is on the string."""
+    g = start.geometry
+    table = [
+        fixed_quantity(name, value, "assumed" if key in start.assumed else "given")
+        for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
+    ]
+    on_string = start.quantity in ("velocity", "displacement")
+    return [*table, fixed_quantity("pickup", g.pickup, "given")] if on_string else table

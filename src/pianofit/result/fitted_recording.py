@@ -13,8 +13,6 @@ from ..model.note import Note
 from ..recording.recording import Recording
 from ..schema.fit import Criterion, LevelErrors
 
-__all__ = ["FittedRecording", "RenderedFit"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RenderedFit:

@@ -19,8 +19,6 @@ from ..inference.parametrisation import STRING_SIZE
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 
-__all__ = ["UNINFORMATIVE_ERROR", "notes_of", "smooth_random_walk", "stroke_deviations"]
-
 # Grid of standard deviations, relative (0.1 to 9 dB), for the walk over an e-fold of velocity and for the scatter of a
 # stroke. The prior is uniform in the logarithm.
 GRID = np.geomspace(0.01, 1.0, 9)

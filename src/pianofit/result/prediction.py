@@ -26,8 +26,6 @@ from ..recording.recording import Recording, Source, to_recording
 from ..threads import one_blas_thread
 from .comparison import audible_partials
 
-__all__ = ["Prediction", "predict_recording"]
-
 # Velocities are searched from `SLOWEST` to this, m/s,
 FASTEST = 12.0
 # on a grid of this size, 1.4 % apart, before the best is refined. A force that lasts several periods of a partial has a

@@ -20,8 +20,6 @@ from ..threads import one_blas_thread
 from .comparison import RecordingComparison
 from .fitted_recording import FittedRecording
 
-__all__ = ["reload_recordings"]
-
 
 @one_blas_thread()
 def reload_recordings(fit: Fit, notes: Sequence[Note], sources: Sequence[Source] = ()) -> tuple[FittedRecording, ...]:

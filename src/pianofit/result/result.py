@@ -29,8 +29,6 @@ from .reload import reload_recordings
 if TYPE_CHECKING:
     from .cross_validation import CrossValidation
 
-__all__ = ["Result"]
-
 # Characters of the identifiability statement in a `repr`.
 STATEMENT_LENGTH = 300
 

@@ -20,8 +20,6 @@ from .statuses import (
     velocity_range,
 )
 
-__all__ = ["best_combination", "identifiability_statement", "strong_correlations"]
-
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99
 

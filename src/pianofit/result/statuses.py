@@ -10,20 +10,6 @@ from ..inference import InferenceResult
 from ..inference.parametrisation import STRING_SIZE
 from ..schema.quantities import Status
 
-__all__ = [
-    "FELT_EXCESS_DB",
-    "HAMMER_EXCESS_DB",
-    "PIANIST_VELOCITY_RATIO",
-    "exceeds_pianist",
-    "invariant_status",
-    "path_compared",
-    "scaled_parameters",
-    "statuses",
-    "unidentifiable_parameters",
-    "velocity_range",
-    "velocity_statuses",
-]
-
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
 MAX_SD_OVER_PRIOR = 0.7
 # Nor is one whose standard deviation of log(value) exceeds this.

@@ -21,8 +21,6 @@ from ..errors import FitError, PianofitError
 from ..io.files import json_text, printable, read_file, short_repr
 from ..io.number_format import LARGEST
 
-__all__ = ["Number", "builtins_of", "convert", "encode_json", "load_json"]
-
 T = TypeVar("T")
 # A finite number that can be squared without overflow.
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]

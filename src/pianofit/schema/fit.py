@@ -22,41 +22,11 @@ from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
 from ..io.files import path_name, printable
 from ..model.output_path import OutputPath, VelocityDiscrepancy
+from ..model.simulate import Contact
 from .decode import Number, convert, load_json
+from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
-
-__all__ = [
-    "FIT_SCHEMA",
-    "BandValue",
-    "Correlation",
-    "Criterion",
-    "Derived",
-    "Diagnostics",
-    "DrawsFile",
-    "ExcessSd",
-    "Fit",
-    "GlideWindow",
-    "LevelErrors",
-    "Minimum",
-    "NoteFile",
-    "NoteRecording",
-    "ParameterConvergence",
-    "PartialLevels",
-    "PathEntry",
-    "PathPrior",
-    "Pickup",
-    "PickupQuantity",
-    "PosteriorDiagnostics",
-    "ProfileCurve",
-    "Recontact",
-    "RecordingFit",
-    "VelocityDiscrepancyEntry",
-    "fit_path",
-    "package_versions",
-    "read_fit",
-    "read_note_file",
-]
 
 FIT_SCHEMA = 5
 # Largest fit.json, bytes.
@@ -242,6 +212,11 @@ class Recontact:
     duration_ms: Number
     max_force_N: Number
 
+    @classmethod
+    def of(cls, contact: Contact) -> Recontact:
+        """Return the entry of a contact of a simulation."""
+        return cls(1e3 * contact.start, 1e3 * (contact.stop - contact.start), contact.force)
+
 
 @dataclass(frozen=True)
 class GlideWindow:
@@ -266,81 +241,6 @@ class Derived:
     felt_force_N: Number  # static force at the largest compression
     glide_cents: Number
     glide: tuple[GlideWindow, ...]
-
-
-@dataclass(frozen=True)
-class ExcessSd:
-    """Excess standard deviations beyond the noise."""
-
-    frequency_cents: Number
-    decay_relative: Number
-    level_db: Number
-
-
-@dataclass(frozen=True)
-class PathPrior:
-    """Prior of the smooth output path."""
-
-    smooth_db: Number
-    octaves: Number
-
-
-@dataclass(frozen=True)
-class Correlation:
-    """Two parameters whose logarithms are strongly correlated."""
-
-    pair: tuple[str, str]
-    correlation: Number
-
-
-@dataclass(frozen=True)
-class ProfileCurve:
-    """A profile of the objective."""
-
-    points: tuple[tuple[Number, Number], ...]  # value, and rise of the objective
-    evaluations: int
-
-
-@dataclass(frozen=True)
-class ParameterConvergence:
-    """Convergence of the draws of one parameter (Vehtari et al. 2021)."""
-
-    rhat: Number
-    ess_bulk: Number
-    ess_tail: Number
-    median: Number
-
-
-@dataclass(frozen=True)
-class PosteriorDiagnostics:
-    """Diagnostics of posterior sampling."""
-
-    sampler: str
-    chains: int
-    draws: int
-    acceptance: Number
-    divergences: int
-    evaluations: int
-    parameters: dict[str, ParameterConvergence]
-
-
-@dataclass(frozen=True)
-class Diagnostics:
-    """Diagnostics of a search. The paper's methods have only the first two."""
-
-    evaluations: int
-    partials: int  # levels that were used
-    correlated: tuple[Correlation, ...] = ()
-    negative_log_posterior: Number | None = None  # at the best minimum
-    censored: int | None = None  # bounds of absent partials that were used
-    contact_rate_Hz: Number | None = None
-    modes: int | None = None
-    steps: int | None = None  # of a contact
-    excess_sd: ExcessSd | None = None
-    path: PathPrior | None = None
-    interference_ratio: Number | None = None
-    profile: dict[str, ProfileCurve] | None = None
-    posterior: PosteriorDiagnostics | None = None
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,6 @@ from ..io.files import MAX_CHANNELS, encode_pcm, read_file
 from ..model.modal_response import ModalResponse, VelocityGain
 from .decode import Number
 
-__all__ = [
-    "KNOCK_FILE",
-    "RENDER_MODELS",
-    "RenderModel",
-    "ComplexRow",
-    "FittedModalResponse",
-    "Knock",
-    "LayerEntry",
-    "ModalResponseEntry",
-    "ModeTable",
-    "VelocityGainEntry",
-    "encode_knock",
-]
-
 KNOCK_FILE = "knock.flac"
 # Names of the render models, the simplest first; "string model" uses no measured modes.
 RenderModel = Literal["string model", "modes", "modes and knock"]

@@ -15,8 +15,6 @@ from ..model.simulate import check_geometry
 from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .fit import HINT, Fit, Minimum, NoteFile, PathEntry, RecordingFit, fit_path, read_note_file
 
-__all__ = ["initial_note", "load_note", "note_of", "notes_of_minima", "notes_of_recordings"]
-
 
 def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
     """Read the note of a `fit.json` at its best minimum, and the sample rate of its reference recording, Hz.

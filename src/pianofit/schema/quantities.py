@@ -18,18 +18,6 @@ from ..io.table_output import data_frame, html_table, write_csv
 from ..io.uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
 from .decode import Number
 
-__all__ = [
-    "MEANINGS",
-    "STATUSES",
-    "UNITS",
-    "Covariance",
-    "Quantities",
-    "Quantity",
-    "Status",
-    "meaning_of",
-    "unit_of",
-]
-
 Status = Literal["fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable"]
 STATUSES: tuple[str, ...] = get_args(Status)
 # Unit and meaning of the quantities that are not in `ALL_PARAMETERS`.

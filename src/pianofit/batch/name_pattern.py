@@ -1,4 +1,4 @@
-"""Guess of a file-name pattern from the names of the recordings in a folder.
+"""Patterns of file names, such as `{instrument}-{note}-{layer}[-{mic}]`, and their guess from the names in a folder.
 
 A name is divided at its separators. The note is the part that is a note name, or a MIDI number, in most names. A part
 after the note that varies is a layer. A part before the note is a layer if it consists of dynamics or numbers.
@@ -7,40 +7,73 @@ Otherwise it belongs to the instrument. A number that follows from the note is i
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from ..analysis.note_names import note_to_midi
 from ..analysis.pitch import check_pitch
 from ..conversions import hertz_of
-from ..errors import AnalysisError
+from ..errors import AnalysisError, SetupError
 
-__all__ = ["guess_pattern", "midi_number_offset"]
+__all__ = ["expression_of", "guess_pattern", "midi_number_offset"]
 
+FIELDS = {
+    "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
+    **dict.fromkeys(("velocity", "v_H0"), r"\d+(?:\.\d+)?"),
+    **dict.fromkeys(("instrument", "take", "layer", "group", "mic"), r"[^/]+?"),
+    "*": r"[^/]*?",
+}
 SEPARATOR = re.compile(r"((?:[^\w#♯♭]|_)+)")
 _NAME = r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?\d(?!\d)"
+_NO_NOTE = r"(?i:v|vel|velocity|vl|l|lay|layer|rr|take|t|mic)"  # words before the number of a layer or a take
 # Forms of a note in a part of a name. Groups: text before the note, the note, text after it.
 FORMS = {
     "name": re.compile(rf"()({_NAME})()"),
     "name at the begin": re.compile(rf"()({_NAME})(\D\w*)"),
     "name at the end": re.compile(rf"(\w*(?:\d|[a-z](?=[A-G])))({_NAME})()"),
     "number": re.compile(r"()(\d{1,3})()", re.ASCII),
-    "number at the end": re.compile(r"((?!(?:v|vel|velocity|vl|l|lay|layer|rr|take|t|mic)\d)[A-Za-z]+)(\d{1,3})()",
-                                    re.ASCII | re.IGNORECASE),
-}  # fmt: skip
+    "number at the end": re.compile(rf"((?!{_NO_NOTE}\d)[A-Za-z]+)(\d{{1,3}})()", re.ASCII),
+}
 # A number counts as the note only if it has at least this many times the values of any other number in the names:
 # velocities and indices are numbers too. Note names are preferred to numbers in up to this many times more files.
 MIN_VALUE_RATIO = 2
 DYNAMICS = re.compile(
-    r"p{1,5}|f{1,5}|mp|mf|sfz|soft\w*|quiet\w*|med|medium|mid|mezzo\w*|forte|fortissimo|pianissimo|loud\w*|hard\w*|low|"
-    r"high|light|heavy|normal", re.IGNORECASE,
-)  # fmt: skip
-NUMBERED = re.compile(r"[a-z]{0,5}\d+|\d+[a-z]?", re.IGNORECASE)
+    r"(?i)p{1,5}|f{1,5}|mp|mf|sfz|soft\w*|quiet\w*|med|medium|mid|mezzo\w*|forte|fortissimo|pianissimo|loud\w*|hard\w*|"
+    r"low|high|light|heavy|normal"
+)
+NUMBERED = re.compile(r"(?i)[a-z]{0,5}\d+|\d+[a-z]?")
 MICROPHONES = re.compile(
-    r"(?:close|near|far|room|hall|amb\w*|stereo|mono|left|right|[lr]|side|player|audience|decca|ab|xy|ms|ortf|over\w*|"
-    r"under\w*|inside|outside|mic|binaural)\d*", re.IGNORECASE,
-)  # fmt: skip
+    r"(?i)(?:close|near|far|room|hall|amb\w*|stereo|mono|left|right|[lr]|side|player|audience|decca|ab|xy|ms|ortf|"
+    r"over\w*|under\w*|inside|outside|mic|binaural)\d*"
+)
+
+
+@functools.cache
+def expression_of(pattern: str) -> re.Pattern[str]:
+    """Regular expression of a pattern.
+
+    Raises `SetupError` if the pattern has an unknown field, a field twice, no note, or brackets that do not match.
+    """
+    parts, fields, depth = [], [], 0
+    for field, other in re.findall(r"\{([a-zA-Z_0-9*]+)\}|(.)", pattern):
+        depth += (other == "[") - (other == "]")
+        if depth not in (0, 1):
+            raise SetupError(f"--pattern {pattern!r}: [ and ] must come in pairs and must not be nested")
+        if not field:
+            parts.append({"[": "(?:", "]": ")?"}.get(other) or re.escape(other))
+            continue
+        if field not in FIELDS:
+            allowed = ", ".join(f"{{{name}}}" for name in FIELDS)
+            raise SetupError(f"--pattern {pattern!r}: {{{field}}} is not a field; use {allowed}")
+        if field in fields and field != "*":
+            raise SetupError(f"--pattern {pattern!r}: has {{{field}}} twice; use {{*}} for one of them")
+        fields.append(field)
+        parts.append(f"(?:{FIELDS[field]})" if field == "*" else f"(?P<{field}>{FIELDS[field]})")
+    if "note" not in fields or depth:
+        raise SetupError(f"--pattern {pattern!r}: must have {{note}}, and a ] for every [")
+    return re.compile("".join(parts), re.IGNORECASE)
 
 
 class Part(NamedTuple):
@@ -71,34 +104,34 @@ class Reading(NamedTuple):
     separator: str  # before the note
 
     @property
+    def midi(self) -> list[int]:
+        """MIDI numbers of the notes."""
+        return [*map(note_to_midi, self.notes)]
+
+    @property
     def distinct(self) -> int:
         """Number of different notes."""
-        return len({note_to_midi(note) for note in self.notes})
+        return len({*self.midi})
+
+    def agrees_with(self, pattern: str) -> bool:
+        """True if a pattern finds the note of every name."""
+        matches = map(expression_of(pattern).fullmatch, self.names)
+        return all(match and match["note"] == note for match, note in zip(matches, self.notes, strict=True))
 
 
-def guess_pattern(names: Sequence[str], compiled: Callable[[str], re.Pattern[str]]) -> str | None:
+def guess_pattern(names: Sequence[str]) -> str | None:
     """The pattern that matches most of these names, or None if the position of the note is not clear.
 
-    Parameters
-    ----------
-    names : paths relative to the folder, without endings.
-    compiled : returns the regular expression of a pattern.
+    The names are paths relative to the folder, without endings.
     """
     ordered = _by_likelihood([*_readings(names)])
-    readings = [(reading, patterns) for reading in ordered if (patterns := _valid(reading, compiled))]
+    readings = [(reading, patterns) for reading in ordered if (patterns := _patterns(reading))]
     if not readings:
         return None
     likeliest = readings[0][0]
     candidates = [pattern for reading, group in readings if reading.by_name == likeliest.by_name for pattern in group]
-    consistent = [pattern for pattern in candidates if _reads(compiled(pattern), likeliest)]
-    return max(consistent, key=lambda pattern: sum(compiled(pattern).fullmatch(name) is not None for name in names))
-
-
-def _valid(reading: Reading, compiled: Callable[[str], re.Pattern[str]]) -> list[str]:
-    """Patterns that find the notes of a reading, the simplest first."""
-    roles = _roles(reading)
-    patterns = [] if roles is None else _patterns(reading, roles)
-    return [pattern for pattern in patterns if _reads(compiled(pattern), reading)]
+    consistent = filter(likeliest.agrees_with, candidates)
+    return max(consistent, key=lambda pattern: sum(map(bool, map(expression_of(pattern).fullmatch, names))))
 
 
 def midi_number_offset(names: Sequence[str]) -> int:
@@ -107,8 +140,7 @@ def midi_number_offset(names: Sequence[str]) -> int:
     for by_name in (r for r in readings if r.by_name):
         for by_number in (r for r in readings if not r.by_name and {*r.names} >= {*by_name.names}):
             numbers = dict(zip(by_number.names, by_number.notes, strict=True))
-            notes = zip(by_name.names, by_name.notes, strict=True)
-            offsets = {int(numbers[name]) - note_to_midi(note) for name, note in notes}
+            offsets = {int(numbers[n]) - midi for n, midi in zip(by_name.names, by_name.midi, strict=True)}
             if len(offsets) == 1 and by_name.distinct > 1:
                 return offsets.pop()
     return 0
@@ -124,7 +156,7 @@ def _readings(names: Sequence[str]) -> Iterator[Reading]:
             for form, expression in FORMS.items():
                 matches = [(name, match) for name in members if (match := _note_at(name, index, expression))]
                 if matches:
-                    yield _reading(form, index, separators, matches)
+                    yield _reading(form.startswith("name"), index, separators, matches)
 
 
 def _note_at(name: str, index: int, expression: re.Pattern[str]) -> re.Match[str] | None:
@@ -138,20 +170,19 @@ def _note_at(name: str, index: int, expression: re.Pattern[str]) -> re.Match[str
     return match
 
 
-def _reading(form: str, index: int, separators: Sequence[str], matches: list[tuple[str, re.Match[str]]]) -> Reading:
-    rows = [SEPARATOR.split(name)[::2] for name, _ in matches]
-    before, after = (tuple(match[group] or "" for _, match in matches) for group in (1, 3))
-    columns = [*zip(["", *separators], zip(*rows, strict=True), strict=True)]
-    folders = [any("/" in later for later in separators[i:]) for i in range(len(columns))]
-    parts = [Part(*column, folder, False) for column, folder in zip(columns[:index], folders, strict=False)]
-    parts += [Part(columns[index][0], before, folders[index], False)] * any(before)
-    parts += [Part("", after, folders[index], True)] * any(after)
-    later = zip(columns[index + 1 :], folders[index + 1 :], strict=True)
-    parts += [Part(*column, folder, True) for column, folder in later]
-    return Reading(
-        form.startswith("name"), tuple(match[2] for _, match in matches), tuple(name for name, _ in matches),
-        tuple(parts), "" if any(before) else columns[index][0],
-    )  # fmt: skip
+def _reading(by_name: bool, index: int, separators: Sequence[str], matches: list[tuple[str, re.Match]]) -> Reading:
+    names = tuple(name for name, _ in matches)
+    before, notes, after = (tuple(match[group] or "" for _, match in matches) for group in (1, 2, 3))
+    columns = zip(("", *separators), zip(*(SEPARATOR.split(name)[::2] for name in names), strict=True), strict=True)
+    parts, note_separator = [], ""
+    for i, (separator, values) in enumerate(columns):
+        folder = any("/" in later for later in separators[i:])
+        if i != index:
+            parts.append(Part(separator, values, folder, i > index))
+            continue
+        note_separator = "" if any(before) else separator
+        parts += [Part(separator, before, folder, False)] * any(before) + [Part("", after, folder, True)] * any(after)
+    return Reading(by_name, notes, names, tuple(parts), note_separator)
 
 
 def _by_likelihood(readings: list[Reading]) -> list[Reading]:
@@ -163,20 +194,10 @@ def _by_likelihood(readings: list[Reading]) -> list[Reading]:
     ordered = sorted(readings, key=size, reverse=True)
     if len(ordered) > 1:
         first, second = ordered[:2]
-        conflict = (first.by_name, first.names) == (second.by_name, second.names) and not _agree(first, second)
-        if conflict and first.distinct < MIN_VALUE_RATIO * second.distinct:
+        same_names = (first.by_name, first.names) == (second.by_name, second.names)
+        if same_names and first.midi != second.midi and first.distinct < MIN_VALUE_RATIO * second.distinct:
             return []
     return ordered
-
-
-def _agree(a: Reading, b: Reading) -> bool:
-    return [*map(note_to_midi, a.notes)] == [*map(note_to_midi, b.notes)]
-
-
-def _reads(expression: re.Pattern[str], reading: Reading) -> bool:
-    """True if an expression finds the note of every name."""
-    matches = [expression.fullmatch(name) for name in reading.names]
-    return all(match and match["note"] == note for match, note in zip(matches, reading.notes, strict=True))
 
 
 def _roles(reading: Reading) -> list[str] | None:
@@ -206,18 +227,15 @@ def _role(part: Part, reading: Reading) -> str:
         return "mic"
     if _follows(part, reading) and (not part.after_note or part.all_are(FORMS["name"])):
         return "*"
-    if part.after_note:
-        return "layer"
-    return "layer" if part.all_are(DYNAMICS) or part.all_are(NUMBERED) else "instrument"
+    return "layer" if part.after_note or part.all_are(DYNAMICS) or part.all_are(NUMBERED) else "instrument"
 
 
 def _follows(part: Part, reading: Reading) -> bool:
     """True if the numbers of a part follow from the note, or only count the files."""
-    if not all(map(re.compile(r".*\d").match, part.values)):
+    if not all(re.match(r".*\d", value) for value in part.values):
         return False
     counts = len({*part.values}) == len(part.values) and any(p.after_note and not p.constant for p in reading.parts)
-    notes = [*map(note_to_midi, reading.notes)]
-    return counts or len({*zip(notes, part.values, strict=True)}) == len({*notes})
+    return counts or len({*zip(reading.midi, part.values, strict=True)}) == reading.distinct
 
 
 def _with_one_instrument(parts: Sequence[Part], roles: list[str]) -> list[str] | None:
@@ -235,8 +253,11 @@ def _with_one_instrument(parts: Sequence[Part], roles: list[str]) -> list[str] |
     return ["" if role == "instrument" and index not in kept else role for index, role in enumerate(roles)]
 
 
-def _patterns(reading: Reading, roles: Sequence[str]) -> list[str]:
-    """The pattern of a reading, and the same pattern with an optional end."""
+def _patterns(reading: Reading) -> list[str]:
+    """Patterns that find the notes of a reading: the simplest, and the same with an optional end."""
+    roles = _roles(reading)
+    if roles is None:
+        return []
     pieces, last = [], ""
     for part, role in zip(reading.parts, roles, strict=True):
         if not role:
@@ -249,7 +270,8 @@ def _patterns(reading: Reading, roles: Sequence[str]) -> list[str]:
     note_index = sum(not part.after_note for part in reading.parts)
     pieces.insert(note_index, _literal(reading.separator) + "{note}")
     ends = range(note_index + 1, len(pieces))
-    return ["".join(pieces), *("".join([*pieces[:end], "[", *pieces[end:], "]"]) for end in ends)]
+    patterns = ["".join(pieces), *("".join([*pieces[:end], "[", *pieces[end:], "]"]) for end in ends)]
+    return [*filter(reading.agrees_with, patterns)]
 
 
 def _literal(text: str) -> str:
