@@ -17,7 +17,7 @@ from pathlib import Path
 import mido
 
 import pianofit
-from pianofit.instrument import Instrument, load_instrument
+from pianofit.instrument import Instrument, Key, load_instrument
 from pianofit.playback import load_song, render_song
 
 BARS = """C4 E4 G4 C5 E5, C4 D4 A4 D5 F5, B3 D4 G4 D5 F5, C4 E4 G4 C5 E5, C4 E4 A4 E5 A5, C4 D4 F#4 A4 D5,
@@ -57,11 +57,11 @@ def write_prelude(path: Path, bars: int) -> None:
 
 def literature() -> Instrument:
     """Return an instrument with typical parameters of a grand piano; its sound is the bridge force, full scale 10 N."""
-    notes = {}
+    keys = {}
     for midi in range(21, 109):
         it = pianofit.typical(midi)
-        notes[midi] = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None)
-    return Instrument("literature", notes, velocity_at_64=1.3, velocity_slope=1.5)
+        keys[midi] = Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
+    return Instrument("literature", keys)
 
 
 def main() -> None:
