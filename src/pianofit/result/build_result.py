@@ -9,8 +9,7 @@ import numpy as np
 
 from ..analysis import cents_above
 from ..felt import law_of
-from ..inference import InferenceResult, IntervalResult
-from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..model.note import Note
 from ..schema.decode import convert
 from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
