@@ -149,7 +149,7 @@ def _setup_with_felt(setup: Path | None, felt: str | None) -> Setup:
 
 @dataclass(frozen=True)
 class PredictionReport:
-    """What `predict --json` prints."""
+    """The output of `predict --json`."""
 
     file: str
     sha256: str

@@ -39,6 +39,10 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     path : an `instrument.json`, its folder, or a folder of fits, which are combined by `build_instrument`.
     prefix : name of the instrument, if a folder holds fits of several.
 
+    Returns
+    -------
+    An `Instrument`.
+
     Raises
     ------
     FitError

@@ -21,7 +21,7 @@ from ..io.number_format import (
 )
 from ..result import Result
 from ..schema.fit import Fit
-from ..schema.quantities import MEANINGS, Covariance
+from ..schema.quantities import MEANINGS, Covariance, Quantity
 from .drawing import FITTED, INITIAL, INK, MEASURED, PAPER, make_figure
 from .static_law import shared_covariance
 from .text import SYMBOLS, VELOCITY_RATIO
@@ -47,9 +47,8 @@ WIDEST, NARROWEST = 10.0, 1e-12
 
 def identifiability_sections(fit: Fit) -> list[tuple[str, list[str]]]:
     """Return (heading, sentences): combinations that are determined, conditional on the model, and undetermined."""
-    writers = {"f0": _pitch, "B": _invariant, "x0/L": _invariant, "F/M_S": _felt_force, "M_H/M_S": _invariant}
     sections: dict[str, list[str]] = {DETERMINED: [], CONDITIONAL: [], UNDETERMINED: []}
-    for name, write in writers.items():
+    for name in ("f0", "B", "x0/L", "F/M_S", "M_H/M_S"):
         quantity = fit.invariants.get(name)
         half = None if quantity is None else log_half_width(quantity.interval)
         if quantity is None or half is None:  # given, or not part of this fit
@@ -57,32 +56,31 @@ def identifiability_sections(fit: Fit) -> list[tuple[str, list[str]]]:
         heading = DETERMINED
         if name in ("F/M_S", "M_H/M_S") and quantity.status == "not-identifiable":
             heading = CONDITIONAL if half <= LARGEST_CONDITIONAL else UNDETERMINED
-        sections[heading].append(write(fit, name, half))
+        sections[heading].append(_sentence(fit, quantity, half))
     sections[DETERMINED] += _velocities(fit)
     return [(heading, sentences) for heading, sentences in sections.items() if sentences]
 
 
-def _pitch(fit: Fit, name: str, half: float) -> str:
-    value, _ = with_interval(fit.invariants[name].value, fit.invariants[name].interval)
-    return f"Pitch: f₀ = {value} Hz (± {number(1200 * half / math.log(2), 2)} cents)."
-
-
-def _invariant(fit: Fit, name: str, half: float) -> str:
-    meaning = MEANINGS[name]
-    return f"{meaning[0].upper()}{meaning[1:]}: {name} = {with_half_interval(fit.invariants[name].value, half)}."
-
-
-def _felt_force(fit: Fit, name: str, half: float) -> str:
-    """Return the force of the felt at the compression of the strokes, which determine it rather than K_H and p."""
-    quantity = fit.invariants[name]
-    note = f"{quantity.note[0].upper()}{quantity.note[1:]}"
-    text = f"{note}, divided by the mass of the string: {name} = {with_half_interval(quantity.value, half, 'N/kg')}."
+def _sentence(fit: Fit, quantity: Quantity, half: float) -> str:
+    """Return the value of an invariant; that of the felt at the compression of the strokes, which determine it."""
+    name = quantity.name
+    if name == "f0":
+        value, _ = with_interval(quantity.value, quantity.interval)
+        return f"Pitch: f₀ = {value} Hz (± {number(1200 * half / math.log(2), 2)} cents)."
+    if name != "F/M_S":
+        return f"{_capitalised(MEANINGS[name])}: {name} = {with_half_interval(quantity.value, half)}."
+    text = f"{_capitalised(quantity.note)}, divided by the mass of the string: "
+    text += f"{name} = {with_half_interval(quantity.value, half, 'N/kg')}."
     stiffness = fit.parameters.get("K_H")
     half_of_stiffness = None if stiffness is None else log_half_width(stiffness.interval)
     if half_of_stiffness is not None and half_of_stiffness > 1.2 * half:
         uncertainty = format_relative_uncertainty(half_of_stiffness)
         text += f" K_H alone is known {uncertainty}. Its unit depends on p."
     return f"{text} {felt_scale(fit)}".rstrip()
+
+
+def _capitalised(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def is_scale_open(fit: Fit) -> bool:
