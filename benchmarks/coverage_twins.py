@@ -39,7 +39,7 @@ from pianofit.inference import priors
 from pianofit.literature import typical
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.recording.recording import Recording, recording_from_samples
-from pianofit.setup import Setup, setup_from_dict
+from pianofit.setup import Setup
 
 __all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path", "values_of"]
 # The window of the contact of each kind that `tests/brute_force.py` makes.
@@ -283,9 +283,9 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
     tables = {"string": {"length": g.length, "mass": g.mass}, "strike": strike}
     if design.calibrated:
         tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
-        return setup_from_dict(tables, "twin")
+        return Setup.from_dict(tables, "twin")
     known = {"file": f"layer-{hardest}", "v_H0": truth.velocities[-1]}
-    return setup_from_dict(tables | {"recording": [known]}, "twin")
+    return Setup.from_dict(tables | {"recording": [known]}, "twin")
 
 
 def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:

@@ -245,7 +245,7 @@ def kinds() -> dict[str, Kind]:
             name: Kind(f"case.{name}", _sound(container, codec), pianofit.load_recording)
             for name, container, codec in CONTAINERS
         },
-        "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
+        "setup": Kind("case.toml", setup, pianofit.Setup.from_toml, text=True),
         "fit": Kind(
             "case.json", fit, lambda path: (pianofit.load_note(path), notes_of_minima(read_fit(path), path.parent, "")),
             beside={"knock.flac": knock},

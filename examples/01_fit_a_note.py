@@ -7,7 +7,6 @@ python examples/01_fit_a_note.py note.flac F#2        fits a recording of yours
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import pianofit
 from pianofit.synthetic import demo_recording

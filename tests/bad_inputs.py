@@ -2,7 +2,7 @@
 
 An entry builds its files in a folder. It has the command line to run there, a part of the message, and the exit code: 1
 for an invalid input, 2 for an invalid command line. Entries whose `gate` is "recording" or "setup" are also tested with
-`load_recording` and `load_setup` directly.
+`load_recording` and `Setup.from_toml` directly.
 """
 
 from __future__ import annotations

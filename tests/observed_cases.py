@@ -12,7 +12,7 @@ from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.recording.recording import Recording, recording_from_samples
-from pianofit.setup import Setup, setup_from_dict
+from pianofit.setup import Setup
 
 F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
 
@@ -80,7 +80,7 @@ def setup(**more) -> Setup:
         "string": {"length": g.length, "mass": g.mass}, "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": SCALE},
     }  # fmt: skip
-    return setup_from_dict(data | more, "here")
+    return Setup.from_dict(data | more, "here")
 
 
 def tone(seed: int = 0, name: str = "tone") -> Recording:

@@ -10,7 +10,7 @@ import pytest
 
 from pianofit.batch import Settings, make_job, read_keys
 from pianofit.errors import RecordingError, SetupError
-from pianofit.setup import load_setup
+from pianofit.setup import Setup
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -55,7 +55,7 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     (key,), _ = read_keys(manifest(tmp_path, text))
     job = make_job(key, Settings(setup="[string]\nlength = 0.6\n"))
     (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
-    setup = load_setup(tmp_path / "setup.toml")
+    setup = Setup.from_toml(tmp_path / "setup.toml")
     assert setup.length == 0.6
     assert [(t.file, t.v_H0, t.group) for t in setup.recordings] == [
         ("close-C4.wav", 1.25, "close"), ("a _b_ _-C4.wav", None, 'a "b" 🎹')
@@ -71,7 +71,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     ]  # fmt: skip
     job = make_job(key, Settings())
     (tmp_path / "setup.toml").write_text(job.setup, encoding="utf-8")
-    layers = load_setup(tmp_path / "setup.toml").recordings
+    layers = Setup.from_toml(tmp_path / "setup.toml").recordings
     assert [(t.file, t.group, t.stroke) for t in layers][:3] == [
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),

@@ -9,14 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pianofit import Quantity, analyse, fit, load_note, recording_from_samples, setup_from_dict
+from pianofit import Quantity, Setup, analyse, fit, load_note, recording_from_samples
 from pianofit.errors import FitError, SetupError
 from pianofit.felt import LAWS, RelaxingHammer
 from pianofit.parameters import Hammer
 from pianofit.schema.decode import builtins_of, encode_json
 from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import MEANINGS
-from pianofit.setup import load_setup
 from studies.bensa2005.laboratory import SyntheticMeasurement, measure
 
 VELOCITY = 1.299
@@ -101,30 +100,30 @@ def test_half_a_memory_is_no_felt(tmp_path):
 )
 def test_a_law_that_cannot_be_is_refused(data, message):
     with pytest.raises(SetupError, match=message):
-        setup_from_dict(data, "x.toml")
+        Setup.from_dict(data, "x.toml")
 
 
 def test_another_law_must_suit_the_setup(tmp_path):
     path = tmp_path / "x.toml"
     path.write_text("[fixed]\nmu = 0.1\n")
-    assert load_setup(path, "hunt-crossley").felt == "hunt-crossley"
+    assert Setup.from_toml(path, "hunt-crossley").felt == "hunt-crossley"
     with pytest.raises(SetupError, match=r"x\.toml: mu.*stulov"):
-        load_setup(path, "stulov")
+        Setup.from_toml(path, "stulov")
     path.write_text("[fixed]\nepsilon = 0.1\n")
-    assert load_setup(path, "stulov").fixed == {"epsilon": 0.1}
+    assert Setup.from_toml(path, "stulov").fixed == {"epsilon": 0.1}
 
 
 def test_a_law_beside_the_setup_hides_nothing_of_it(tmp_path):
     path = tmp_path / "x.toml"
     path.write_text('[felt]\nlaw = "power"\n')
-    assert load_setup(path, "power") == load_setup(path)
+    assert Setup.from_toml(path, "power") == Setup.from_toml(path)
     for table, message in (
         ('law = "power"', """law = "power".*felt='stulov'"""), ('law = "foo"', 'law = "foo"'),
         ("laws = 3", "law"),
     ):  # fmt: skip
         path.write_text(f"[felt]\n{table}\n")
         with pytest.raises(SetupError, match=message):
-            load_setup(path, "stulov")
+            Setup.from_toml(path, "stulov")
     path.write_text("felt = 3\n")
     with pytest.raises(SetupError, match="felt"):
-        load_setup(path, "stulov")
+        Setup.from_toml(path, "stulov")

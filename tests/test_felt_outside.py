@@ -159,7 +159,7 @@ import pianofit
 from pianofit.felt import LAWS
 
 straw = LAWS["straw"]
-assert pianofit.setup_from_dict({"felt": {"law": "straw"}, "fixed": {"k": 2e4}}, "here").law is straw
+assert pianofit.Setup.from_dict({"felt": {"law": "straw"}, "fixed": {"k": 2e4}}, "here").law is straw
 it = pianofit.typical(60)
 hammer = straw.hammer(k=2e4, M_H=it.hammer.M_H, v_H0=1.0)
 assert pianofit.simulate(it.string, hammer, it.geometry).pulse.force.max() > 1

@@ -40,7 +40,7 @@ from pianofit.result.warnings import outlier_warnings
 from pianofit.schema.decode import builtins_of, convert, encode_json
 from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import STATUSES, Quantities
-from pianofit.setup import setup_from_dict
+from pianofit.setup import Setup
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
 
@@ -263,7 +263,7 @@ def test_known_values_and_bounds_hold_exactly():
 def test_a_measured_velocity_overrides_the_setups():
     recording = record(FIRST, quantity="pressure")
     problem = build_problem(
-        [recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4
+        [recording], [analyse(recording)], Setup.from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4
     )
     assert problem.measured_velocity == (1.4,)
     assert np.exp(problem.parametrisation.mean[-1]) == pytest.approx(1.4)

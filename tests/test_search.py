@@ -30,7 +30,7 @@ from pianofit.literature import preset
 from pianofit.model import simulate
 from pianofit.recording.recording import recording_from_samples
 from pianofit.result import build_result
-from pianofit.setup import setup_from_dict
+from pianofit.setup import Setup
 
 
 @functools.cache
@@ -277,7 +277,7 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
         sound = lfilter([1, 0.6, 0.2], [1, -0.5], strike.waveform(rate, 3 * rate))
         sound = np.pad(0.5 * sound / np.abs(sound).max(), (rate // 10, 0))
         recordings.append(recording_from_samples(sound + 1e-4 * noise.standard_normal(len(sound)), rate))
-    posed = build_problem(recordings, [analyse(one, note="F3") for one in recordings], setup_from_dict({}, "here"))
+    posed = build_problem(recordings, [analyse(one, note="F3") for one in recordings], Setup.from_dict({}, "here"))
     one, u = map_estimate(posed, seed), posed.parametrisation
     mass = np.exp(one.posterior.mean[0, u.index_of("M_H")]) / posed.initial_values.geometry.mass
     low, high = one.posterior.interval(np.eye(u.size)[u.index_of("M_H")])

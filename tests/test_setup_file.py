@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pianofit.errors import SetupError
 from pianofit.felt import ALL_PARAMETERS, LAWS
 from pianofit.io.files import printable
-from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, load_setup, recording_info_for, setup_from_dict
+from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, recording_info_for
 
 FULL = """
 # The experiment of the paper.
@@ -46,7 +46,7 @@ file = "b.flac"
 
 def test_every_key_is_read(tmp_path):
     (tmp_path / "setup.toml").write_text(FULL)
-    assert load_setup(tmp_path / "setup.toml") == Setup(
+    assert Setup.from_toml(tmp_path / "setup.toml") == Setup(
         length=1.0,
         mass=0.00618,
         strike_position=0.12,
@@ -64,18 +64,18 @@ def test_every_key_is_read(tmp_path):
 @pytest.mark.parametrize("text", ["# nothing is given\n", "[string]\n[strike]\n[fixed]\n[bounds]\n"])
 def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
-    setup = load_setup(str(tmp_path / "setup.toml"))
+    setup = Setup.from_toml(str(tmp_path / "setup.toml"))
     assert setup == Setup()
     assert (setup.pickup_quantity, setup.fixed, setup.recordings) == ("pressure", {}, ())
 
 
 def test_windows_line_ends_and_byte_order_mark(tmp_path):
     (tmp_path / "setup.toml").write_bytes(b"\xef\xbb\xbf" + FULL.strip().replace("\n", "\r\n").encode())
-    assert load_setup(tmp_path / "setup.toml").length == 1.0
+    assert Setup.from_toml(tmp_path / "setup.toml").length == 1.0
 
 
 def test_numbers_may_be_integers_and_become_floats():
-    setup = setup_from_dict({"string": {"length": 1}, "fixed": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
+    setup = Setup.from_dict({"string": {"length": 1}, "fixed": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
     assert [type(value) for value in (setup.length, setup.fixed["p"], *setup.bounds["c"])] == [float] * 4
 
 
@@ -84,7 +84,7 @@ def test_every_pickup_has_one_complete_form(quantity):
     pickup = {"quantity": quantity}
     pickup |= {"position": 0.3} if quantity in ("velocity", "displacement") else {}
     pickup |= {} if quantity == "pressure" else {"scale": 0.5}
-    setup = setup_from_dict({"pickup": pickup}, "here")
+    setup = Setup.from_dict({"pickup": pickup}, "here")
     assert (setup.pickup_quantity, setup.pickup_position, setup.pickup_scale) == (
         quantity,
         pickup.get("position"),
@@ -93,7 +93,7 @@ def test_every_pickup_has_one_complete_form(quantity):
 
 
 def test_recordings_may_have_velocities_of_their_own():
-    setup = setup_from_dict(
+    setup = Setup.from_dict(
         {"recording": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
     )
     assert [recording.v_H0 for recording in setup.recordings] == [1.0, 2.5, 1.0]
@@ -103,7 +103,7 @@ def test_recordings_may_have_velocities_of_their_own():
 def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
     bad.build(tmp_path)
     with pytest.raises(SetupError) as caught:
-        load_setup(bad.bad_file(tmp_path))
+        Setup.from_toml(bad.bad_file(tmp_path))
     message = str(caught.value)
     assert bad.is_explained_by(message)
     assert message.startswith(printable(bad.bad_file(tmp_path)) + ": ")
@@ -119,11 +119,11 @@ def test_parameters_stay_in_their_box(name, table):
         n for n, law in LAWS.items() if name in law.parameters or not any(name in x.parameters for x in LAWS.values())
     )
     for value in (box.lower, box.upper, math.sqrt(box.lower * box.upper)):
-        setup = setup_from_dict({"felt": {"law": law}, table: {name: value}}, "here")
+        setup = Setup.from_dict({"felt": {"law": law}, table: {name: value}}, "here")
         assert getattr(setup, table) == {name: value}
     for value in (box.lower * 0.999, box.upper * 1.001, -box.lower, 0.0, math.inf, math.nan, "1", None, True, [1.0]):
         with pytest.raises(SetupError, match=rf"here: \[{table}\] {name} = "):
-            setup_from_dict({table: {name: value}}, "here")
+            Setup.from_dict({table: {name: value}}, "here")
 
 
 @pytest.mark.parametrize(("table", "key"), [(t, k) for t in ("string", "strike") for k in KEYS[t]])
@@ -131,7 +131,7 @@ def test_sizes_stay_in_their_range(table, key):
     lower, upper, unit = RANGES[key]
     for value in (lower * 0.999, upper * 1.001):
         with pytest.raises(SetupError, match=rf"here: \[{table}\] {key} = .* {unit}"):
-            setup_from_dict({table: {key: value}}, "here")
+            Setup.from_dict({table: {key: value}}, "here")
 
 
 @pytest.mark.parametrize(
@@ -152,10 +152,10 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
     strike = {key: value for key, value in (("position", position), ("width", width)) if value is not None}
     data = {"strike": strike, "string": {} if length is None else {"length": length}}
     if fits:
-        assert setup_from_dict(data, "here").strike_position == position
+        assert Setup.from_dict(data, "here").strike_position == position
     else:
         with pytest.raises(SetupError, match="past the"):
-            setup_from_dict(data, "here")
+            Setup.from_dict(data, "here")
 
 
 def test_an_entry_is_of_the_recording_that_it_names():
@@ -207,7 +207,7 @@ def test_python_is_checked_in_the_words_of_the_file(tmp_path, arguments, text, m
     path = tmp_path / "setup.toml"
     path.write_text(text)
     with pytest.raises(SetupError) as from_file:
-        load_setup(path)
+        Setup.from_toml(path)
     with pytest.raises(SetupError) as from_python:
         Setup(**arguments)
     assert message in str(from_python.value)
@@ -233,7 +233,7 @@ TABLE = st.one_of(VALUE, st.dictionaries(NAME, VALUE, max_size=3))
 @given(st.dictionaries(NAME, st.one_of(TABLE, st.lists(TABLE, max_size=2)), max_size=3))
 def test_anything_at_all_is_a_setup_or_a_setup_error(data):
     try:
-        setup = setup_from_dict(data, "here")
+        setup = Setup.from_dict(data, "here")
     except SetupError as error:
         message = str(error)
     else:
@@ -248,7 +248,7 @@ def test_any_bytes_at_all_are_a_setup_or_a_setup_error(tmp_path_factory, data):
     path: Path = tmp_path_factory.mktemp("setup") / "setup.toml"
     path.write_bytes(data)
     try:
-        message = f"{path}: {load_setup(path).pickup_quantity}"
+        message = f"{path}: {Setup.from_toml(path).pickup_quantity}"
     except SetupError as error:
         message = str(error)
     assert message.startswith(f"{path}: ")

@@ -15,7 +15,7 @@ from pianofit.cli import main
 from pianofit.errors import ParameterError
 from pianofit.felt import RelaxingHammer
 from pianofit.io.files import PEAK_LIMIT
-from pianofit.setup import load_setup
+from pianofit.setup import Setup
 from pianofit.synthetic import LEAD, setup_of, setup_text, synthetic_recording
 
 RATE = 16_000
@@ -68,7 +68,7 @@ def test_the_setup_is_read_back_as_it_was(quantity, law, tmp_path):
     hammer = {"hunt-crossley": TYPICAL.hammer, "power": elastic, "stulov": RelaxingHammer(*elastic, 0.3, 5e-5)}[law]
     setup = setup_of(hammer, TYPICAL.geometry, quantity, 8.0, 'a "b"\x7f.wav')
     (tmp_path / "setup.toml").write_text(setup_text(setup), encoding="utf-8")
-    assert load_setup(tmp_path / "setup.toml") == setup
+    assert Setup.from_toml(tmp_path / "setup.toml") == setup
     assert (setup.pickup_scale is None) == (quantity == "pressure")
     assert setup.law.name == law
     assert setup.strike_position == TYPICAL.geometry.strike_position
@@ -88,7 +88,7 @@ def test_any_setup_is_written_as_it_is_read(tmp_path):
         recordings=(pianofit.RecordingInfo("ä.wav", 2.0, "close"), pianofit.RecordingInfo(v_H0=1.0)),
     )  # fmt: skip
     (tmp_path / "setup.toml").write_text(setup_text(setup), encoding="utf-8")
-    back = load_setup(tmp_path / "setup.toml")
+    back = Setup.from_toml(tmp_path / "setup.toml")
     assert (back.fixed, back.initial, back.bounds, back.recordings) == (
         setup.fixed, setup.initial, setup.bounds, setup.recordings,
     )  # fmt: skip
@@ -114,7 +114,7 @@ def test_a_fit_recovers_what_was_simulated(tmp_path, capsys):
     simulated = ("simulate", "--typical", "F3", *place, "--set", "p=2.6", "--set", "K_H=3e9", "--velocity", "1.4")
     assert main([*simulated, "--seconds", "2", "--setup-out", str(setup), "--out", str(sound)]) == 0
     assert "8 m/s" in capsys.readouterr().out
-    known = load_setup(setup)
+    known = Setup.from_toml(setup)
     assert (known.strike_position, known.pickup_position, known.pickup_scale) == (0.11, 0.3, 8.0)
     assert soundfile.info(sound).frames == 2 * 44_100
     fitted = ("fit", str(sound), "--setup", str(setup), "--note", "F3", "--no-page", "--out", str(tmp_path / "fit"))

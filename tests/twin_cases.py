@@ -21,7 +21,7 @@ from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.result import Result, build_result
 from pianofit.schema.fit import Fit
-from pianofit.setup import RecordingInfo, Setup, setup_from_dict
+from pianofit.setup import RecordingInfo, Setup
 
 RATE = 48_000
 LEAD = 0.03  # s
@@ -86,7 +86,7 @@ def setup_of(truth: Truth, **more: dict) -> Setup:
         "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": truth.scale},
     }
-    return setup_from_dict(data | more, "synthetic")
+    return Setup.from_dict(data | more, "synthetic")
 
 
 def record(

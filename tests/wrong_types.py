@@ -32,7 +32,7 @@ CALLS = {
     "preset": pf.preset,
     "note of a typical key": pf.typical,
     "path": pf.load_recording,
-    "path of a setup": pf.load_setup,
+    "path of a setup": pf.Setup.from_toml,
     "path of a note": pf.load_note,
     "path of a result": pf.Result.load,
     "channel": lambda x: pf.load_recording("none.wav", channel=x),

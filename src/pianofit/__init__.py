@@ -15,7 +15,7 @@ __all__ = [
     # Recordings, and their analysis without a hammer model.
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # Setup and fit.
-    "Setup", "RecordingInfo", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
+    "Setup", "RecordingInfo", "fit", "Result", "Quantity", "Quantities", "Covariance",
     "compare", "Comparison", "ComparedQuantity",
     # Prediction of recordings that were not fitted.
     "Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate",
@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     from .result.prediction import Prediction, predict_recording
     from .schema.notes import load_note
     from .schema.quantities import Covariance, Quantities, Quantity
-    from .setup import RecordingInfo, Setup, load_setup, setup_from_dict
+    from .setup import RecordingInfo, Setup
     from .synthetic import SyntheticRecording, synthetic_recording
     from .web import PageSummary, write_page
 
@@ -110,7 +110,7 @@ _MODULES = {
     "io.files": ("encode_wav", "write_wav"),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
-    "setup": ("RecordingInfo", "Setup", "load_setup", "setup_from_dict"),
+    "setup": ("RecordingInfo", "Setup"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -22,7 +22,7 @@ from .io.files import path_name, printable, read_text
 from .io.number_format import filled
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict", "to_setup"]
+__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "to_setup"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 STRING_PICKUPS = ("velocity", "displacement")  # these need a position
@@ -120,6 +120,80 @@ class Setup:
         """The felt law."""
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
 
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str], felt: str | None = None) -> Setup:
+        """Read a `setup.toml`.
+
+        Parameters
+        ----------
+        path : path of the file. docs/files.md lists tables, keys and units.
+        felt : name of the felt law, if the file has none.
+
+        Returns
+        -------
+        A `Setup`, all values in SI units.
+
+        Raises
+        ------
+        SetupError
+            If the file is invalid. The message names the file, the key, the value, and what to do.
+
+        Examples
+        --------
+        >>> import pianofit
+        >>> from pathlib import Path
+        >>> _ = Path("setup.toml").write_text("string.length = 0.96")
+        >>> pianofit.Setup.from_toml("setup.toml").length
+        0.96
+        """
+        name = path_name(path)
+        try:
+            tables = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
+        except (ValueError, RecursionError) as problem:  # RecursionError: deeply nested brackets
+            raise SetupError(f"{name}: not valid TOML: {printable(problem)[:200]}; correct that line") from None
+        if felt is None:
+            return cls.from_dict(tables, name)
+        given = tables.get("felt", {})
+        setup = cls.from_dict(tables | {"felt": {"law": felt} | given if isinstance(given, dict) else given}, name)
+        if setup.law.name != felt:  # the file has a law of its own
+            raise SetupError(f'{name}: [felt] law = "{setup.law.name}" contradicts felt={felt!r}; remove one of them')
+        return setup
+
+    @classmethod
+    def from_dict(cls, tables: Mapping[str, Any], where: str = "setup") -> Setup:
+        """Make a setup from nested dicts.
+
+        Parameters
+        ----------
+        tables : tables and keys as in a `setup.toml`, SI units.
+        where : beginning of every error message.
+
+        Returns
+        -------
+        A `Setup`.
+
+        Raises
+        ------
+        SetupError
+            As `from_toml`.
+
+        Examples
+        --------
+        >>> import pianofit
+        >>> pianofit.Setup.from_dict({"string": {"length": 0.96}, "fixed": {"M_H": 0.0087}}).fixed
+        {'M_H': 0.0087}
+        """
+        check_type("setup=", tables, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
+        try:
+            checked = {name: _entries(name, content) for name, content in tables.items()}
+            given = {
+                name: checked[table][key] for name, (table, key) in SETUP_KEYS.items() if key in checked.get(table, ())
+            }
+            given |= {name: checked[name] for name in ("fixed", "initial", "bounds") if name in checked}
+            return cls(**given, recordings=tuple(checked.get("recording", ())))
+        except SetupError as error:
+            raise SetupError(f"{where}: {error}") from None
+
 
 def recording_info_for(setup: Setup, file: str, alone: bool) -> RecordingInfo:
     """Return the entry with the name of `file`. If `alone`, the first entry without a file is the second choice."""
@@ -128,84 +202,12 @@ def recording_info_for(setup: Setup, file: str, alone: bool) -> RecordingInfo:
     return next(iter([*named, *nameless]), RecordingInfo())
 
 
-def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
-    """Read a `setup.toml`.
-
-    Parameters
-    ----------
-    path : path of the file. docs/files.md lists tables, keys and units.
-    felt : name of the felt law, if the file has none.
-
-    Returns
-    -------
-    A `Setup`, all values in SI units.
-
-    Raises
-    ------
-    SetupError
-        If the file is invalid. The message names the file, the key, the value, and what to do.
-
-    Examples
-    --------
-    >>> import pianofit
-    >>> from pathlib import Path
-    >>> _ = Path("setup.toml").write_text("string.length = 0.96")
-    >>> pianofit.load_setup("setup.toml").length
-    0.96
-    """
-    name = path_name(path)
-    try:
-        table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
-    except (ValueError, RecursionError) as problem:  # RecursionError: deeply nested brackets
-        raise SetupError(f"{name}: not valid TOML: {printable(problem)[:200]}; correct that line") from None
-    if felt is None:
-        return setup_from_dict(table, name)
-    given = table.get("felt", {})
-    setup = setup_from_dict(table | {"felt": {"law": felt} | given if isinstance(given, dict) else given}, name)
-    if setup.law.name != felt:  # the file has a law of its own
-        raise SetupError(f'{name}: [felt] law = "{setup.law.name}" contradicts felt={felt!r}; remove one of them')
-    return setup
-
-
-def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
-    """Make a setup from nested dicts.
-
-    Parameters
-    ----------
-    data : tables and keys as in a `setup.toml`, SI units.
-    where : beginning of every error message.
-
-    Returns
-    -------
-    A `Setup`.
-
-    Raises
-    ------
-    SetupError
-        As `load_setup`.
-
-    Examples
-    --------
-    >>> import pianofit
-    >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "fixed": {"M_H": 0.0087}}, "my grand").fixed
-    {'M_H': 0.0087}
-    """
-    check_type("setup=", data, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
-    try:
-        tables = {name: _entries(name, content) for name, content in data.items()}
-        given = {name: tables[table][key] for name, (table, key) in SETUP_KEYS.items() if key in tables.get(table, ())}
-        given |= {name: tables[name] for name in ("fixed", "initial", "bounds") if name in tables}
-        return Setup(**given, recordings=tuple(tables.get("recording", ())))
-    except SetupError as error:
-        raise SetupError(f"{where}: {error}") from None
-
-
 def to_setup(given: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
     """Return the setup that a caller gives: a `Setup`, tables as in a `setup.toml`, the path of one, or None."""
     if given is None or isinstance(given, Setup):
         return given or Setup()
     check_type("setup=", given, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
-    return setup_from_dict(given, "setup") if isinstance(given, Mapping) else load_setup(given)
+    return Setup.from_dict(given) if isinstance(given, Mapping) else Setup.from_toml(given)
 
 
 def _entries(name: str, content: object) -> Any:

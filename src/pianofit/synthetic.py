@@ -199,7 +199,7 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
 
 
 def setup_text(setup: Setup) -> str:
-    """The content of the `setup.toml` that `load_setup` reads as `setup`; its felt law must be built in."""
+    """The content of the `setup.toml` that `Setup.from_toml` reads as `setup`; its felt law must be built in."""
     tables: dict[str, list[str]] = {}
     for attribute, (table, key) in SETUP_KEYS.items():
         value = setup.law.name if attribute == "felt" else getattr(setup, attribute)

@@ -22,7 +22,7 @@ from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.recording import check_channel
-from ..setup import load_setup, setup_from_dict
+from ..setup import Setup
 from ..threads import cores
 from .options import Channel, Json, Seed, choice, number, whole
 from .terminal import print_error, print_result
@@ -163,7 +163,7 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
 
     text = ""
     if setup is not None:
-        if load_setup(setup).recordings:
+        if Setup.from_toml(setup).recordings:
             raise SetupError(
                 f"{printable(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
             )
@@ -182,7 +182,7 @@ def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     for key in keys:
         try:
             job = make_job(key, settings)
-            setup_from_dict(tomllib.loads(job.setup), key.name)
+            Setup.from_dict(tomllib.loads(job.setup), key.name)
             jobs.append(job)
         except PianofitError as error:
             problems.append(str(error))

@@ -25,7 +25,7 @@ from ..io.number_format import columns, counted, format_with_interval, with_stan
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
 from ..recording.recording import load_recording, load_recordings, readable_formats
-from ..setup import Setup, load_setup
+from ..setup import Setup
 from . import options
 from .options import choice, text, whole
 from .terminal import print_result
@@ -167,7 +167,7 @@ def _check_recipe(recipe: str, evaluations: int | None, intervals: str, recordin
 
 def _setup_with_felt(setup: Path | None, felt: str | None) -> Setup:
     """Load the setup, with the felt law of the command line."""
-    return Setup(felt=felt) if setup is None else load_setup(setup, felt)
+    return Setup(felt=felt) if setup is None else Setup.from_toml(setup, felt)
 
 
 @dataclass(frozen=True)
