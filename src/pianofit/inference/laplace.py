@@ -7,7 +7,7 @@ its density times its volume,
     weight ∝ exp(-F) |H|^(-1/2),     H the Hessian of F by (θ, φ, log w)
 
 and a 95 % interval holds 95 % of the mixture. A parameter at a bound is fixed there. Its factor of the volume is that
-of the exponential by which the density falls inward.
+of the exponential by which the density falls inward. An `Interval` by profiles or by draws has the same form.
 """
 
 from __future__ import annotations
