@@ -11,6 +11,7 @@ Least squares use SciPy's dogleg in the box (Voglis and Lagaris 2004), which pla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -104,8 +105,10 @@ class LeastSquares(NamedTuple):
     upper: np.ndarray
 
     def value_and_gradient(self, z: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the cost at `z` [D] and its gradient [D]."""
+        """Return the cost at `z` [D] and its gradient [D]; the cost is infinite where a residual is not finite."""
         residual, jacobian = (x[0] for x in self.residuals(z[None]))
+        if not np.isfinite(residual).all():
+            return math.inf, np.zeros(len(z))
         return 0.5 * float(residual @ residual), residual @ jacobian
 
     def minimise(self, z: np.ndarray, *, evaluations: int, tolerance: float = 1e-7) -> DescentResult:
