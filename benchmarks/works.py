@@ -144,7 +144,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     string, table = fit_string(problem).theta[0, :4], problem.observed.level
     held = Objective.of_levels(problem, string)
     model, z = held.level_model, sobol_samples(held, 0)
-    many, some = model.strokes(z), model.strokes(z)[:BATCH_SIZE]
+    many, some = model.stroke_entries(z), model.stroke_entries(z)[:BATCH_SIZE]
     people = held.start(z[:POINTS], [initial_hyperparameters(table)])
     at = people.level[:4]
     sizes = {

@@ -141,6 +141,10 @@ def run_in_batches(
 # --- residuals of the tables ------------------------------------------------------------------------------------------
 
 
+# Residuals and derivatives of the model in every table, and whether contacts ended [B].
+Residuals = tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]
+
+
 class LevelModel:
     """Levels of the recordings at many θ.
 
@@ -161,9 +165,9 @@ class LevelModel:
         table = problem.observed.level
         self.has_level = table.detected + 0.0  # 1 where a level or a bound of a censored partial exists [R, K]
         self.has_level[tuple(table.censored.T)] = 1.0
-        self.strokes_computed = 0
+        self.strokes_computed = 0  # by `levels` and `residuals`
 
-    def strokes(self, theta: np.ndarray) -> np.ndarray:
+    def stroke_entries(self, theta: np.ndarray) -> np.ndarray:
         """Every stroke at `theta` [B, size]: [B · strokes, entries]."""
         u = self.problem.parametrisation
         hammers = np.repeat(theta[:, STRING_SIZE : u.shared], u.strokes, axis=0)
@@ -181,13 +185,11 @@ class LevelModel:
         if self.string is None:
             program, batch, size = level_jacobians_per_string, self._strokes_with_strings(theta), STRING_BATCH_SIZE
         else:
-            program, batch, size = level_jacobians, (self.string, self.strokes(theta)), BATCH_SIZE
+            program, batch, size = level_jacobians, (self.string, self.stroke_entries(theta)), BATCH_SIZE
         level, slope, ended = run_in_batches(program, batch, self.inputs, self.cfg, size)
         return self._by_recording(level), self._by_recording(slope), np.all(ended.reshape(len(theta), -1), axis=1)
 
-    def residuals(
-        self, theta: np.ndarray, offset: np.ndarray
-    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    def residuals(self, theta: np.ndarray, offset: np.ndarray) -> Residuals:
         """Residuals [B, R, K] with derivatives of the model [B, R, K, size], and whether contacts ended [B].
 
         Parameters
@@ -224,7 +226,7 @@ class LevelModel:
     def _strokes_with_strings(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Strings, pitch offsets and strokes [B · strokes, ...]."""
         strings = np.repeat(theta[:, :STRING_SIZE], len(self.cents), axis=0)
-        return strings, np.tile(self.cents, len(theta)), self.strokes(theta)
+        return strings, np.tile(self.cents, len(theta)), self.stroke_entries(theta)
 
     def _by_recording(self, rows: np.ndarray) -> np.ndarray:
         """Select every recording's columns [B, R, K, ...] from the model's rows [B · strokes, rows, ...]."""
@@ -237,7 +239,7 @@ class StringModel:
     def __init__(self, problem: FitProblem) -> None:
         self.problem = problem
 
-    def residuals(self, theta: np.ndarray, _: Any) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    def residuals(self, theta: np.ndarray, _: Any) -> Residuals:
         """Residuals of both tables [B, 1, K] with derivatives of the model [B, 1, K, size]; True for every θ [B]."""
         o, u = self.problem.observed, self.problem.parametrisation
         measured, length = (o.frequency.value[0], o.decay.value[0]), float(self.problem.initial_values.geometry.length)

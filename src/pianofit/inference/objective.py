@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from .batched_model import LevelModel, StringModel, thread_pool
+from .batched_model import LevelModel, Residuals, StringModel, thread_pool
 from .derivatives import Evaluation, dense_inverse, evaluate_batch
 from .likelihood import ObservationTable, em_weights, node_weights, solve_nodes
 from .parametrisation import STRING_SIZE
@@ -293,9 +293,7 @@ class Objective:
         )
         return replace(candidates, theta=theta, parts=parts), valid
 
-    def _residuals(
-        self, theta: np.ndarray, offset: np.ndarray
-    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    def _residuals(self, theta: np.ndarray, offset: np.ndarray) -> Residuals:
         tables, valid = zip(*(model.residuals(theta, offset) for model in self.models), strict=True)
         return [pair for own in tables for pair in own], np.all(valid, axis=0)
 
