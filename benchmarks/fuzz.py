@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import base64
 import contextlib
+import dataclasses
 import functools
 import io
 import json
@@ -188,27 +189,26 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
     from instrument_cases import ERRORS, fit_document, library, true_note
     from page_cases import ringing_note
 
-    from pianofit.instrument.build import build_instrument
-    from pianofit.instrument.collect_fits import find_fits, load_keys
+    from pianofit.instrument import build_instrument, find_fits, load_keys
+    from pianofit.instrument.files import instrument_record
     from pianofit.io.files import encode_wav
-    from pianofit.modal_response_file import encode_knock, modal_response_document
+    from pianofit.schema.decode import builtins_of
+    from pianofit.schema.modal_response import FittedModalResponse, Knock, ModalResponseEntry, encode_knock
 
-    ringing = ringing_note(60).ringing
-    assert ringing is not None  # noqa: S101
+    response = ringing_note(60).ringing
+    assert response is not None  # noqa: S101
+    entry, embedded = (ModalResponseEntry.of(response, embed_knock=embed) for embed in (False, True))
+    wav = Knock(1.0, response.rate, wav=base64.b64encode(encode_wav(response.knock, response.rate)).decode())
+    with_wav = FittedModalResponse(response=dataclasses.replace(entry, knock=wav))
     fit = fit_document(true_note(60), ERRORS)
-    fit["ringing"] = {"by": "modes", **modal_response_document(ringing)}
-    wav = {
-        "wav": base64.b64encode(encode_wav(ringing.knock, ringing.rate)).decode(),
-        "scale": 1.0,
-        "rate": ringing.rate,
-    }
-    note = fit | {"kind": "note", "ringing": fit["ringing"] | {"knock": wav}}
+    note = fit | {"kind": "note", "modal_response": builtins_of(with_wav)}
+    fit["modal_response"] = builtins_of(FittedModalResponse(response=entry))
     with tempfile.TemporaryDirectory() as folder:
         keys = load_keys(find_fits([library(Path(folder), [48, 60])]))
-    instrument = build_instrument(keys, "fuzz")
+    instrument = builtins_of(instrument_record(build_instrument(keys, "fuzz")))
     instrument["keys"] = instrument["keys"][36:44]
-    instrument["keys"][3]["ringing"] = modal_response_document(ringing, whole=True)
-    knock = encode_knock(ringing) or b""
+    instrument["keys"][3]["modal_response"] = builtins_of(embedded)
+    knock = encode_knock(response) or b""
     return json.dumps(fit).encode(), knock, json.dumps(note).encode(), json.dumps(instrument).encode()
 
 
@@ -216,11 +216,11 @@ def kinds() -> dict[str, Kind]:
     """Every format that is read."""
     import pianofit
     from pianofit.batch.manifest import read_keys
-    from pianofit.fit_file import notes_of_minima, read_fit
-    from pianofit.instrument import load_instrument
-    from pianofit.instrument.collect_fits import load_keys
+    from pianofit.instrument import load_instrument, load_keys
     from pianofit.listening.result import count_answers
     from pianofit.playback import load_song
+    from pianofit.schema.fit import read_fit
+    from pianofit.schema.notes import notes_of_minima
 
     fit, knock, note, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
@@ -247,7 +247,7 @@ def kinds() -> dict[str, Kind]:
         },
         "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
         "fit": Kind(
-            "case.json", fit, lambda path: (pianofit.load_note(path), notes_of_minima(read_fit(path), path)),
+            "case.json", fit, lambda path: (pianofit.load_note(path), notes_of_minima(read_fit(path), path.parent, "")),
             beside={"knock.flac": knock},
         ),
         "fit-knock": Kind(

@@ -114,7 +114,9 @@ def opened(runs: int) -> None:
             before = _renderer()
             page.goto(path.as_uri())
             times.append(page.evaluate(FIRST_SOUND))
-            page.wait_for_function(f"() => window.pianofitKeyboard.player.sent.size === {len(piano.keys)}", timeout=120_000)
+            page.wait_for_function(
+                f"() => window.pianofitKeyboard.player.sent.size === {len(piano.keys)}", timeout=120_000
+            )
             sizes.append(_renderer() - before)
             browser.close()
         print(f"{done}\n{path.stat().st_size / 1e6:.2f} MB; memory {max(sizes) / 2**20:.0f} MiB")

@@ -10,21 +10,17 @@ instrument costs, not how one sounds.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from pianofit.export import parse_keys
-from pianofit.felt import RelaxingHammer
-from pianofit.instrument import Instrument
-from pianofit.instrument.build import SCHEMA
+from pianofit.instrument import Instrument, Key, VelocityCurve, write_instrument
 from pianofit.literature import typical
-from pianofit.modal_response_file import modal_response_document
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse, VelocityGain
 from pianofit.model.note import Note
-from pianofit.parameters import Hammer
+from pianofit.schema.instrument import FitSummary
 
 CHANNELS = 2
 RATE = 48_000  # Hz
@@ -79,24 +75,7 @@ def _knock(random: np.random.Generator) -> np.ndarray:
 
 def piano(keys: Iterable[int]) -> Instrument:
     """An instrument of these keys, all recorded."""
-    notes = {midi: rung(midi) for midi in keys}
-    return Instrument("made", notes, AT_64, RISE, frozenset(notes))
-
-
-def document(instrument: Instrument) -> dict:
-    """As `instrument.json`, of what is read to play."""
-    rows = [
-        {"midi": midi, "string": note.string._asdict(), "hammer": _steady(note.hammer),
-         "geometry": note.geometry._asdict(), "gain": note.gain, "path": None, "fit": {},
-         "ringing": None if note.ringing is None else modal_response_document(note.ringing, whole=True)}
-        for midi, note in instrument.notes.items()
-    ]  # fmt: skip
-    return {"schema": SCHEMA, "kind": "instrument", "name": instrument.name, "quantity": "bridge-force", "keys": rows,
-            "velocity": {"at_64": instrument.velocity_at_64, "rise": instrument.velocity_slope}}  # fmt: skip
-
-
-def _steady(hammer: Hammer | RelaxingHammer) -> dict[str, float]:
-    return {name: value for name, value in hammer._asdict().items() if name != "v_H0"}
+    return Instrument("made", {midi: Key(rung(midi), fit=FitSummary()) for midi in keys}, VelocityCurve(AT_64, RISE))
 
 
 def main() -> None:
@@ -105,7 +84,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--keys", default="A0-C8")
     asked = parser.parse_args()
-    asked.out.write_text(json.dumps(document(piano(parse_keys(asked.keys)))))
+    write_instrument(asked.out, piano(parse_keys(asked.keys)))
     print(f"{asked.out}: {asked.out.stat().st_size / 1e6:.1f} MB")
 
 

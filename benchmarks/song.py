@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,9 +80,9 @@ def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
             note = instrument.note(key, v or 1)
             rows.append((t, 1, "noteOn", key, note.hammer.v_H0) if v else (t, 0, "noteOff", key))
     events = [[round(t * RATE / BLOCK), what, *value] for t, _, what, *value in sorted(rows, key=lambda row: row[:2])]
-    keys = {key: encode_note(instrument.notes[key], key, knocks) for key in song.keys}
+    keys = {key: encode_note(instrument.keys[key].note, key, knocks) for key in song.keys}
     (sound,) = play([{"keys": keys, "events": events, "blocks": round(song.seconds * RATE / BLOCK)}])
-    return sound[:, max(early(note) for note in instrument.notes.values()) :]
+    return sound[:, max(early(key.note) for key in instrument.keys.values()) :]
 
 
 def main() -> None:
@@ -95,8 +96,9 @@ def main() -> None:
     asked = parser.parse_args()
     enable_program_cache()
     given = load_instrument(asked.instrument) if asked.instrument else piano(parse_keys("A0-C8"))
-    quiet = given._replace(notes={k: n._replace(gain=QUIET * n.gain) for k, n in given.notes.items()})
-    keys = [k for k in given.notes if LOWEST <= k < HIGHEST]
+    notes = {midi: key.note._replace(gain=QUIET * key.note.gain) for midi, key in given.keys.items()}
+    quiet = replace(given, keys={midi: replace(key, note=notes[midi]) for midi, key in given.keys.items()})
+    keys = [k for k in given.keys if LOWEST <= k < HIGHEST]
     song = drawn(asked.seconds, asked.notes, keys, asked.seed)
     render_song(quiet, song, RATE)  # compiles what an earlier run has not
     begin = time.process_time()

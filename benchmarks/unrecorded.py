@@ -26,7 +26,7 @@ BEFORE = 0.02  # s of silence before the contact
 
 def main() -> None:
     """Print the table."""
-    from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
+    from pianofit.instrument import build_instrument, find_fits, load_keys
     from pianofit.model.program_cache import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -38,15 +38,13 @@ def main() -> None:
     enable_program_cache()
     tool, found = measure(), {}
     keys = load_keys(find_fits([options.fits], options.prefix))
-    whole = read_instrument(build_instrument(keys))
+    whole = build_instrument(keys)
 
     def distances(note, key) -> dict[str, float]:
-        document = json.loads(Path(key.file).read_text(encoding="utf-8"))
-        recorded = sorted(document["recordings"], key=lambda row: row["v_H0"])
         rows = []
-        for row, velocity in zip(recorded, key.velocities, strict=True):
-            sound = note.struck(velocity).render(seconds=SECONDS, rate=RATE)
-            target = tool.load(str(options.recordings / Path(row["file"]).name))
+        for layer in key.summary.layers:
+            sound = note.render(layer.velocity, seconds=SECONDS, rate=RATE)
+            target = tool.load(str(options.recordings / Path(layer.file).name))
             by = np.gcd(tool.RATE, RATE)
             sound = signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
             there = tool.compare(target, sound)
@@ -55,10 +53,10 @@ def main() -> None:
 
     print(f"{'':20}{'law':>16}{'by neighbours':>16}{'own fit':>16}   dB, attack in brackets", flush=True)
     for left in keys[1:-1]:
-        rest = read_instrument(build_instrument([key for key in keys if key is not left]))
-        note, own = rest.notes[left.midi], whole.notes[left.midi]
+        rest = build_instrument([key for key in keys if key is not left])
+        note, own = rest.keys[left.midi].note, whole.keys[left.midi].note
         rows = [distances(x, left) for x in (note._replace(ringing=None), note, own)]
-        name = Path(left.file).parent.name
+        name = Path(left.summary.file).parent.name
         found[name] = dict(zip(("law", "by neighbours", "own fit"), rows, strict=True))
         cells = [f"{row['distance']:.2f} ({row['attack']:.2f})" for row in rows]
         print(f"{name:20}" + "".join(f"{cell:>16}" for cell in cells), flush=True)

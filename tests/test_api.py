@@ -15,17 +15,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import mido
 import numpy as np
 import pytest
 import soundfile
+from instrument_cases import ERRORS, fit_document, true_note, write_fit
 
 import pianofit
 
 ROOT = Path(__file__).parent.parent
 FUNCTIONS = [name for name in pianofit.__all__ if inspect.isfunction(getattr(pianofit, name))]
 CLASSES = [name for name in pianofit.__all__ if inspect.isclass(getattr(pianofit, name))]
-# What takes minutes is run elsewhere: `tests/test_fit_recordings.py` runs this.
-TOO_LONG = {"cross_validate"}
+# What takes minutes is run elsewhere, in `tests/test_fit_recordings.py` and `tests/test_batch_fit.py`.
+TOO_LONG = {"cross_validate", "run_batch"}
 # `word`, `Word.word`; file names, which end as these do, are none.
 REFERENCE = re.compile(r"(?<!`)`([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)`(?!`)")
 FILES = ("json", "toml", "wav", "html")
@@ -70,8 +72,14 @@ def test_help_gives_arguments_returns_errors_and_an_example(name):
 
 
 def test_the_examples_run(tmp_path, monkeypatch):
-    """In one folder; `fit` first, since others go on from what it saves."""
+    """In one folder with a batch of two keys and a song; `fit` first, since others go on from what it saves."""
     monkeypatch.chdir(tmp_path)
+    for midi in (60, 64):
+        write_fit(Path("batch"), midi, fit_document(true_note(midi), ERRORS), "cp80")
+    track = mido.MidiTrack()
+    for note in (60, 64, 67, 60):
+        track += [mido.Message("note_on", note=note, velocity=80), mido.Message("note_off", note=note, time=120)]
+    mido.MidiFile(tracks=[track]).save("melody.mid")
     runner = doctest.DocTestRunner()
     order = ["fit", *(name for name in DOCUMENTED if name not in {"fit", *TOO_LONG})]
     ran = []

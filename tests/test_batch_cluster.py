@@ -118,6 +118,21 @@ def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_
     assert results(out) == expected(jobs, tmp_path / "own")
 
 
+def test_a_result_that_is_lost_with_its_worker_is_computed_again(tmp_path):
+    (job,) = library(tmp_path / "in", ["one"])
+    ended = []
+    with cluster(tmp_path / "dask", 1) as machines, DaskPool(machines.address, True, quick_work) as pool:
+        pool.submit(job)
+        (future,) = pool._begun
+        wait(lambda: future.status == "finished")
+        killed(machines.workers[0])
+        wait(lambda: future.status == "lost")
+        machines.workers.append(machines.add())
+        wait(lambda: ended.extend(pool.finished(0.5)) or ended)
+        assert pool.pending == 0
+    assert [(job, result.files) for job, result in ended] == [(job, quick_work(job).files)]
+
+
 def test_what_fails_on_a_worker_is_told_here(tmp_path):
     jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
     with cluster(tmp_path / "dask", 1) as machines:

@@ -30,7 +30,7 @@ from pianofit.model.modal_response import VelocityGain
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback import Song, render_song
 from pianofit.playback.voice import StringVoice, damper_rate
-from pianofit.schema.instrument import Value
+from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
 from pianofit.web import write_page
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, slider_intervals
@@ -268,15 +268,15 @@ def test_a_knock_in_a_note_is_checked(tmp_path):
 
 def test_the_sliders_have_the_intervals_of_the_instrument():
     values = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
-    assert slider_intervals({name: Value(x, (low, high)) for name, (x, low, high) in values.items()}) == {
+    assert slider_intervals({name: KeyValue(x, (low, high)) for name, (x, low, high) in values.items()}) == {
         "force": (0.5, 2.0),
         "p": pytest.approx((-0.1, 0.2)),
         "inharmonicity": pytest.approx((0.9, 1.2)),
     }
-    even = dict.fromkeys(("b1", "d2"), Value(0.3, (0.3 / 1.5, 0.3 * 1.5)))
+    even = dict.fromkeys(("b1", "d2"), KeyValue(0.3, (0.3 / 1.5, 0.3 * 1.5)))
     # Two equal errors add in quadrature.
     assert slider_intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))
-    keys = {midi: replace(key, values={"mu": Value(0.2, (0.1, 0.4))}) for midi, key in two_keys().keys.items()}
+    keys = {midi: replace(key, values={"mu": KeyValue(0.2, (0.1, 0.4))}) for midi, key in two_keys().keys.items()}
     payload, _ = encode_instrument(replace(two_keys(), keys=keys), 1_000_000)
     assert payload["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
     assert payload["keys"][1]["values"] == {"mu": [0.2, 0.1, 0.4]}

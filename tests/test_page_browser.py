@@ -16,7 +16,7 @@ from page_cases import ringing_note
 
 from pianofit.instrument import load_instrument
 from pianofit.playback import load_song
-from pianofit.schema.instrument import Value
+from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
 from pianofit.web import write_page
 
@@ -56,7 +56,7 @@ def written(tmp_path_factory):
     notes = notes_of(true_instrument(range(48, 73))) | {60: uneven_note(60), 64: ringing_note(64)}
     piano = piano_of(notes, recorded=(60, 64), name="</script>'\"")
     path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
-    values = {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.0, (1.9, 2.2))}
+    values = {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.0, (1.9, 2.2))}
     write_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
     return path
 
@@ -267,7 +267,7 @@ def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
     assert found.keys[62].note.hammer.M_H == own.keys[62].note.hammer.M_H
     gains = [found.keys[midi].note.gain / own.keys[midi].note.gain for midi in (50, 62)]
     assert gains == pytest.approx([10**1.5] * 2)
-    assert found.keys[60].values == {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.0, (1.9, 2.2))}
+    assert found.keys[60].values == {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.0, (1.9, 2.2))}
 
 
 DROP = """([name, bytes]) => {

@@ -16,7 +16,7 @@ from pianofit.cli import main
 from pianofit.instrument import Instrument, load_instrument
 from pianofit.playback import load_song
 from pianofit.playback.midi import read_song
-from pianofit.schema.instrument import LARGEST_INSTRUMENT, Value
+from pianofit.schema.instrument import LARGEST_INSTRUMENT, KeyValue
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
 from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_page
 
@@ -34,7 +34,7 @@ CHANGES = {
 def piano() -> Instrument:
     """Three keys: one rings by its modes, one by its law, and one was never recorded."""
     notes = {52: ringing_note(52), 60: uneven_note(60), 64: ringing_note(64)}
-    values = {"M_H/M_S": Value(1.0, (0.5, 2.0)), "p": Value(2.5, (2.4, 2.7))}
+    values = {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.5, (2.4, 2.7))}
     states = {52: "pulled", 64: "interpolated"}
     bare = piano_of(notes, recorded=(52, 60))
     keys = {midi: replace(key, values=values, state=states.get(midi)) for midi, key in bare.keys.items()}
@@ -76,7 +76,7 @@ def test_a_saved_instrument_says_which_keys_were_changed(tmp_path):
     assert (found.name, found.velocity.at_64, found.velocity.rise) == ("twin", 1.3, 1.5)
     values = {midi: set(key.values) for midi, key in found.keys.items()}
     assert values == {52: {"p"}, 60: {"p"}, 64: {"M_H/M_S", "p"}}
-    assert found.keys[64].values["p"] == Value(2.5, (2.4, 2.7))
+    assert found.keys[64].values["p"] == KeyValue(2.5, (2.4, 2.7))
     changes = {midi: key.changes for midi, key in found.keys.items()}
     assert changes == {52: {k: x for k, x in CHANGES[52].items() if k != "p"}, 60: CHANGES[60], 64: None}
     assert not any("volume" in warning for warning in found.warnings)

@@ -137,9 +137,9 @@ def test_an_exponent_that_no_felt_has_questions_the_ratio(strokes, p, word):
     assert warnings_of(strokes, SPEEDS, p, groups=("a", "b", "c")) == []
 
 
-def test_a_fit_says_so_in_its_messages(strokes):
+def test_a_fit_says_so_in_its_warnings(strokes):
     recordings, analyses = strokes
     layers = (RecordingInfo(file="1.0.wav", v_H0=4.0), RecordingInfo(file="4.0.wav", v_H0=1.0))
     result = fit(recordings[0], recordings[2], setup=Setup(recordings=layers), note="C4", progress=False,
                  analyses=[analyses[0], analyses[2]])  # fmt: skip
-    assert any("duller" in message and "1.0.wav (4 m/s)" in message for message in result.messages)
+    assert any("duller" in message and "1.0.wav (4 m/s)" in message for message in result.warnings)

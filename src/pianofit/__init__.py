@@ -21,10 +21,15 @@ __all__ = [
     "Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate",
     # Model: from parameters to motion and sound.
     "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
-    "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
-    "write_wav",
+    "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav",
     # Parts of the model for JAX programs: modes, excitation, output.
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
+    # Instruments of 88 keys from fits, songs, and exports.
+    "Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument",
+    "write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary",
+    "export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_page",
+    # Libraries, and blind listening tests.
+    "run_batch", "ListeningSummary", "write_listening_test", "count_answers",
     # Errors.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "WrongNoteError",
@@ -33,6 +38,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
+    from .batch import run_batch
     from .errors import (
         AnalysisError,
         FitError,
@@ -43,12 +49,27 @@ if TYPE_CHECKING:
         SetupError,
         WrongNoteError,
     )
+    from .export import ExportOptions, ExportSummary, export_sampler
+    from .export.faust import FaustSummary, write_faust
     from .felt import FeltLaw, RelaxingHammer
     from .fitting import fit
+    from .instrument import (
+        Instrument,
+        Key,
+        VelocityCurve,
+        build_instrument,
+        find_fits,
+        load_instrument,
+        load_keys,
+        write_instrument,
+    )
     from .io.files import encode_wav, write_wav
+    from .listening.result import count_answers
+    from .listening.sounds import ListeningSummary, write_listening_test
     from .literature import Preset, preset, typical
     from .model import Modes, Note, Simulation, levels, mode_table, pluck, simulate, spectrum, strike, waveform
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
+    from .playback import Performance, Song, load_song, render_song
     from .recording.recording import Recording, load_recording, recording_from_samples
     from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Result
@@ -58,9 +79,21 @@ if TYPE_CHECKING:
     from .schema.quantities import Covariance, Quantities, Quantity
     from .setup import RecordingInfo, Setup, load_setup, setup_from_dict
     from .synthetic import SyntheticRecording, synthetic_recording
+    from .web import PageSummary, write_page
 
 _MODULES = {
     "analysis": ("Analysis", "Partials", "analyse"),
+    "batch": ("run_batch",),
+    "export": ("ExportOptions", "ExportSummary", "export_sampler"),
+    "export.faust": ("FaustSummary", "write_faust"),
+    "instrument": (
+        "Instrument", "Key", "VelocityCurve", "build_instrument", "find_fits", "load_instrument", "load_keys",
+        "write_instrument",
+    ),
+    "listening.result": ("count_answers",),
+    "listening.sounds": ("ListeningSummary", "write_listening_test"),
+    "playback": ("Performance", "Song", "load_song", "render_song"),
+    "web": ("PageSummary", "write_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),

@@ -113,9 +113,12 @@ class DaskPool:
             future = self._ended.get(timeout=timeout)
         except queue.Empty:
             future = None
-        self._check_scheduler(future is not None and future.status in ("cancelled", "lost"))
+        self._check_scheduler(future is not None and future.status == "cancelled")
         self._count()
         if future is None:
+            return []
+        if future.status == "lost":  # its worker died before the result was fetched: it is computed again
+            future.add_done_callback(self._ended.put)
             return []
         job, _ = self._begun[future]
         try:

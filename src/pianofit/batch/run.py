@@ -75,12 +75,36 @@ def run_batch(
     retry_failed: bool = False,
     tell: Callable[[Progress], None] = lambda _: None,
 ) -> Status:
-    """Fit all jobs that are not done, into `folder`, and return their states as `status` does.
+    """Fit all jobs of a library that are not done. Finished keys are kept, and the same call continues the batch.
 
-    `workers` creates the workers, after the folder is locked.
+    Parameters
+    ----------
+    jobs : one for each key, from `pianofit.batch.make_job`.
+    folder : folder of the batch.
+    workers : creates the workers, after the folder is locked, from the store of the batch.
+    retry_failed : fit keys again that failed before.
+    tell : called with the progress.
 
-    Raises `OutputError` if the folder is in use, holds something else, or cannot be written to, or if the cluster is
-    gone. Finished keys are kept, and the same call continues the batch.
+    Returns
+    -------
+    The state of every key.
+
+    Raises
+    ------
+    OutputError
+        If the folder is in use, holds something else, or cannot be written to, or if the cluster is gone.
+
+    Examples
+    --------
+    Two workers with at most 3 GiB and ten minutes a key:
+
+    >>> from pathlib import Path
+    >>> import pianofit
+    >>> from pianofit.batch import ProcessPool, Settings, make_job, read_keys
+    >>> keys, remarks = read_keys(Path("library"))
+    >>> jobs = [make_job(key, Settings()) for key in keys]
+    >>> pool = lambda store: ProcessPool(2, 3 * 2**30, 600.0, store.scratch)
+    >>> pianofit.run_batch(jobs, Path("batch"), pool).counts
     """
     store = Store(folder)
     store.open()

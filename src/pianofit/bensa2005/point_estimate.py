@@ -9,8 +9,7 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
-from ..inference import InitialValues
-from ..inference.parametrisation import names_of
+from ..inference import InitialValues, names_of
 from ..model import Simulation
 from ..model.free_response import level_db, modal_amplitudes
 from ..model.note import Note, arrival

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
-from ..inference.batched_model import run_in_batches
+from ..inference import run_in_batches
 from ..model.contact import impulse_amplitude, kernel_rows, strike
 from ..model.damped_sums import z_transform
 from ..model.free_response import modal_transform

@@ -39,7 +39,6 @@ def instrument(
     """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
     from ..instrument import build_instrument, find_fits, instrument_name, load_keys, write_instrument
     from ..instrument.page import write_page
-    from ..schema.decode import builtins_of
     from ..schema.instrument import INSTRUMENT_FILE
 
     files, first = find_fits(fits, prefix), fits[0].resolve()
@@ -49,7 +48,7 @@ def instrument(
         record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:
             write_page(folder / "instrument.html", built)
-    print_result(builtins_of(record), f"{built.summary()}\nwritten to {out}\n", as_json)
+    print_result(record, f"{built.summary()}\nwritten to {out}\n", as_json)
 
 
 def play(

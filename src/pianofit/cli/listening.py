@@ -52,10 +52,10 @@ def listen(
         raise typer.BadParameter("--json needs --result")
 
     with output_folder(out, force) as folder:
-        from ..listening.sounds import listening_test
+        from ..listening.sounds import write_listening_test
 
         sizes = {"trials": trials, "seconds": seconds, "seed": seed}
-        test = listening_test(a, b, folder, reference=reference, **sizes, exclude_invalid=exclude_invalid)
+        test = write_listening_test(a, b, folder, reference=reference, **sizes, exclude_invalid=exclude_invalid)
     for line in test.failed:
         print_error(f"left out: {line}")
     if test.alone:

@@ -22,9 +22,7 @@ __all__ = ["EXPORT_MARK", "SAMPLERS", "readme_text"]
 
 # Fall of an SFZ envelope during `ampeg_release`, nepers. The format does not define it; this is the value of sfizz.
 SFZ_RELEASED = 9.0
-# First version of Decent Sampler that documents velocity as a modulator.
-DECENT_VERSION = "1.15.0"
-# Fall of its envelope during the release, nepers. The format does not define it; 60 dB is usual.
+# Fall of Decent Sampler's envelope during the release, nepers. The format does not define it; 60 dB is usual.
 DECENT_RELEASED = math.log(1000)
 # A line that identifies a folder as an export, so that --force never deletes a folder of the user.
 EXPORT_MARK = "Every sample is computed by pianofit"
@@ -57,7 +55,8 @@ def _sfz(title: str, keys: Sequence[SampledKey]) -> str:
 
 
 def _dspreset(title: str, keys: Sequence[SampledKey]) -> str:
-    root = ElementTree.Element("DecentSampler", minVersion=DECENT_VERSION)
+    # The first version that documents velocity as a modulator.
+    root = ElementTree.Element("DecentSampler", minVersion="1.15.0")
     root.append(ElementTree.Comment(f" {title}: strings and hammers, computed by pianofit "))
     groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
     modulators = ElementTree.SubElement(root, "modulators")

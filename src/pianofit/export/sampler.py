@@ -24,7 +24,7 @@ from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, 
 from ..playback.voice import StringVoice, damper_rate
 from ..threads import one_blas_thread
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
-from .layers import SampledKey, key_ranges, layer_velocities, silent_keys
+from .layers import LOUDEST, SampledKey, key_ranges, layer_velocities, silent_keys
 from .samples import measure_layers, render_sample
 
 __all__ = ["ExportOptions", "ExportSummary", "export_sampler"]
@@ -34,7 +34,6 @@ KINDS = ("flac", "wav")
 README = "README.txt"
 # File names of samples: key, note, velocity.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
-MOST_LAYERS = 127
 HIGHEST_RATE = 192_000  # Hz, limit of most samplers
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together, about 5 GB
 # Share of the measurement of levels in the progress of an export.
@@ -141,7 +140,7 @@ def export_sampler(
 
 
 def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions) -> None:
-    check_range("layers=", options.layers, 1, MOST_LAYERS)
+    check_range("layers=", options.layers, 1, LOUDEST)
     check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
     check_range("seconds=", options.seconds, 0.1, 120)
     if options.kind not in KINDS:

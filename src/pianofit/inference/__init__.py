@@ -8,20 +8,27 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 from __future__ import annotations
 
 from ..progress import Progress
+from .batched_model import run_in_batches, string_law
+from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
+from .observation_tables import scatter_by_number
+from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, names_of
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, simulation_grid
 
 __all__ = [
+    "LOG_ABSENT_LOSS",
     "NO_HAMMER",
+    "STRING_SIZE",
     "Estimate",
     "FitProblem",
     "InferenceResult",
     "InitialValues",
     "Interval",
     "IntervalResult",
+    "LatentPosterior",
     "Minima",
     "ObservedValues",
     "Posterior",
@@ -29,7 +36,11 @@ __all__ = [
     "build_problem",
     "check_intervals",
     "map_estimate",
+    "names_of",
+    "run_in_batches",
     "run_inference",
+    "scatter_by_number",
     "simulation_grid",
     "starting_values",
+    "string_law",
 ]

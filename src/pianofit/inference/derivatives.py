@@ -39,10 +39,6 @@ from .likelihood import (
     variance,
 )
 
-# Step of the differences of F's exact gradient by φ.
-STEP = 1e-4
-# Curvatures by φ and log w below this fraction of the largest are rounding.
-FLOOR = 1e-8
 # A negative eigenvalue of the curvature above this is not rounding, relative to the curvature with φ and w fixed.
 NEGATIVE = 1e-3
 
@@ -223,17 +219,17 @@ def marginalise_nuisances(
 
     The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton.
     """
-    detected = np.asarray(table.detected) > 0
+    detected, step = np.asarray(table.detected) > 0, 1e-4
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
     r, J, ws = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w))
-    found = evaluate_batch(table, r, J, phi + STEP * np.eye(hyper + 1, len(phi), -1), ws)
+    found = evaluate_batch(table, r, J, phi + step * np.eye(hyper + 1, len(phi), -1), ws)
     curvature = found.curvature[0]
-    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / STEP
-    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / STEP
-    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / STEP, cross])
+    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / step
+    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / step, cross])
     nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
     value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
-    value = np.maximum(value, FLOOR * value.max())
+    value = np.maximum(value, 1e-8 * value.max())  # smaller ones are rounding
     projected = vector.T @ cross
     marginal = curvature - (projected / value[:, None]).T @ projected
     # In units in which each parameter's own curvature is 1: with clean recordings they differ by decades.

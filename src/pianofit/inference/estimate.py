@@ -14,6 +14,7 @@ from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
+from .batched_model import LevelModel
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
@@ -23,9 +24,6 @@ from .parametrisation import STRING_SIZE
 from .problem import FitProblem, build_problem
 from .profile import profiles
 
-# Maximum number of steps of the string's optimisation, and the decrease of F at which it ends. Strings of clean
-# recordings are determined to 1e-8.
-STRING_STEPS, STRING_GAIN = 40, 1e-6
 # Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
 SAME = 1.0
 # Minima whose F is higher by more than this have no posterior weight: exp(-6) is a quarter of a percent.
@@ -35,16 +33,10 @@ NEARLY = 1.0
 # Maximum number of minima that are refined.
 MOST = 6
 # A refinement ends when the discretisation error at its end differs from the one that it used by less than this
-# fraction of the levels' standard deviations, rms,
+# fraction of the levels' standard deviations, rms.
 LEFT = 0.05
-# or after so many rounds,
-TURNS = 4
-# of so many steps.
+# Steps of a minimisation.
 ITERATIONS = 25
-# At most this many steps of the initial hammer. They end when F falls by less than this, a tenth of a dB.
-REFERENCE_STEPS, REFERENCE_GAIN = 25, 0.1
-# Level of a hammer whose contact does not end, dB.
-SILENT_DB = -300.0
 METHODS = ("laplace", "profile", "posterior")
 
 
@@ -87,7 +79,7 @@ class InferenceResult:
 
     def level(self, theta: np.ndarray) -> np.ndarray:
         """Levels of the model at `theta` [size], dB [R, K]."""
-        return Objective.complete(self.problem).level_model.level_jacobians(theta[None])[0][0]
+        return LevelModel(self.problem).level_jacobians(theta[None])[0][0]
 
     def latent(self, minimum: int) -> LatentPosterior:
         """Posterior means of what F integrates out of the levels, at one minimum: paths, columns and residuals."""
@@ -112,9 +104,9 @@ class InferenceResult:
         hammers = fixed.project(np.stack([self.initial_theta, theta]))
         starts = np.concatenate(rank_hammers(objective, hammers, FINE_VELOCITIES, surrogates, offset))
         starts = objective.start(starts, [phi], offset=offset)
-        candidates = minimise(objective, starts, Options(REFERENCE_STEPS, REFERENCE_GAIN))
+        candidates = minimise(objective, starts, Options(ITERATIONS, 0.1))  # to a tenth of a dB
         if not len(candidates):
-            return np.full(table.value.shape, SILENT_DB)
+            return np.full(table.value.shape, -300.0)  # no contact ends
         best = candidates.level
         return np.asarray(table.value) - latent_posterior(table, best.residual[0], best.phi[0], best.w[0]).residual
 
@@ -199,7 +191,8 @@ def fit_string(problem: FitProblem) -> Candidates:
     objective = Objective.of_string(problem)
     phi = [np.asarray(term.table.prior[0]) for term in objective.terms]
     start = objective.start(problem.parametrisation.mean[None], phi)
-    return minimise(objective, start, Options(STRING_STEPS, STRING_GAIN))
+    # Strings of clean recordings are determined to 1e-8.
+    return minimise(objective, start, Options(40, 1e-6))
 
 
 def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
@@ -256,7 +249,7 @@ def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w
     candidates = minimised(theta, phi, w)
     if not len(candidates):
         raise FitError(NO_HAMMER)
-    for _ in range(TURNS - 1):
+    for _ in range(3):  # at most: it ends when the errors at the end are those that were used
         sd = np.sqrt(table.variance + np.exp(2 * candidates.level.phi[:, :1, None]))
         change = (model.discretisation_error_db(candidates.theta) - candidates.offset) / sd
         rms = np.sqrt((change**2 * table.detected).sum(axis=(1, 2)) / max(table.detected.sum(), 1))

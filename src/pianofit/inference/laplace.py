@@ -25,10 +25,6 @@ from ..conversions import HALF_WIDTH_95
 from .derivatives import marginalise_nuisances
 from .objective import Candidates, Objective
 
-# Probability on each side of a 95 % interval.
-TAIL = 0.025
-# Logarithm of the largest number that can be written.
-LARGEST_LOG = 700.0
 # Number of unknown hyperparameters φ of the tables of levels, frequencies and decays.
 HYPER = (4, 1, 1)
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
@@ -101,7 +97,7 @@ class Posterior:
             root: Any = brentq(lambda x: float(self.weight @ norm.cdf((x - centre) / sd)) - probability, low, high)
             return float(root)
 
-        return end(TAIL), end(1 - TAIL)
+        return end(0.025), end(0.975)
 
     def value_interval(
         self, change: np.ndarray, value: float, bounds: tuple[float, float] = (-np.inf, np.inf)
@@ -117,7 +113,7 @@ class Posterior:
             return None
         ends = np.clip(np.add(interval, np.log(value) - float(self.mean[0] @ change)), *bounds)
         sides = zip(("low", "high"), ends, bounds, strict=True)
-        low, high = np.exp(np.minimum(ends, LARGEST_LOG)).tolist()
+        low, high = np.exp(np.minimum(ends, 700.0)).tolist()  # the exponential of 710 is infinite
         return Interval(low, high, "laplace", tuple(side for side, end, bound in sides if end == bound))
 
     def sd(self, change: np.ndarray) -> float:

@@ -37,10 +37,6 @@ WIDE_EXCESS = 2.0
 FASTEST = 4.0
 # and the factor from stroke to stroke, for layers far apart and for layers close together.
 FACTORS = (0.5, 0.75)
-# Hammers per core at a time: their data fit its cache.
-BLOCK = 64
-# Cost of a contact that does not end.
-ENDLESS = 1e6
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
@@ -242,7 +238,7 @@ def rank_hammers(
     hammers = np.tile(theta[:, STRING_SIZE : u.shared], (len(grid), 1))
     level, ended = objective.level_model.levels(np.column_stack([hammers, np.repeat(grid, len(theta))]))
     level = level.reshape(len(grid), len(theta), -1).swapaxes(0, 1)
-    costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, ENDLESS)[:, None] + prior
+    costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, 1e6)[:, None] + prior
     own = np.abs(grid - theta[:, u.shared :, None]).argmin(axis=2)
     starts = [own, *(np.tile(start, (len(theta), 1)) for start in _velocity_starts(objective.problem, grid))]
     target = table.value - offset
@@ -253,7 +249,8 @@ def rank_hammers(
             own = [start[block] for start in starts]
             return _best_velocities(surrogate, residual, objective.level_model.stroke, costs[block], own)
 
-        blocks = [slice(i, i + BLOCK) for i in range(0, len(theta), BLOCK)]
+        # The data of 64 hammers fit the cache of a core.
+        blocks = [slice(i, i + 64) for i in range(0, len(theta), 64)]
         best, chosen = (np.concatenate(x) for x in zip(*thread_pool().map(best_of, blocks), strict=True))
         best = best + objective.prior(theta)[0]
         moved = theta.copy()
@@ -296,7 +293,7 @@ def _best_velocities(
     best, chosen = np.full(count, np.inf), np.zeros((count, len(strokes)), int)
     for start in starts:
         v = start.copy()
-        for _ in range(8):  # few need more than three
+        for _ in range(8):  # at most: it ends when no velocity changes
             before = v.copy()
             for s in strokes:
                 v[:, s] = (own[:, s] + sum(pair[t, s][S, v[:, t]] for t in strokes if t != s)).argmin(axis=1)

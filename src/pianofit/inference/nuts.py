@@ -40,16 +40,8 @@ from .problem import FitProblem, ModelInputs, StaticConfig
 # R-hat compares chains with each other, and four show more than two. Warm-up adapts step and metric. The draws leave
 # some ten independent ones beyond each end of a 95 % interval.
 CHAINS, WARMUP, DRAWS = 4, 200, 500
-# Maximum doublings of a trajectory: in these coordinates one of 64 steps has always turned round.
-DOUBLINGS = 6
-# Target acceptance rate (Hoffman and Gelman's range is 0.6 to 0.8).
-ACCEPTANCE = 0.8
-# Standard deviation of the chains' starts about the minimum: wider than the posterior, so that R-hat can detect it.
-START_SD = 1.5
 # Limits of R-hat and of the number of independent draws (Vehtari et al. 2021, Bayesian Analysis 16).
 MOST_RHAT, LEAST_ESS = 1.01, 400
-# Quantiles of a two-sided 95 % interval.
-TAILS = 0.025, 0.975
 # Bins of a histogram of the interval, and the ratio of a normal density at the interval's ends to its maximum. A
 # density that a bound cuts off has more.
 BINS, CUT = 20, float(np.exp(-0.5 * HALF_WIDTH_95**2))
@@ -137,12 +129,13 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
     adapt: Any = blackjax.window_adaptation(
         blackjax.nuts,
         density,
-        target_acceptance_rate=ACCEPTANCE,
-        max_num_doublings=DOUBLINGS,
+        target_acceptance_rate=0.8,  # Hoffman and Gelman's range is 0.6 to 0.8
+        max_num_doublings=6,  # in these coordinates a trajectory of 64 steps has always turned round
         adaptation_info_fn=get_filter_adapt_info_fn(),
     )
     start_key, warmup_key, draw_key = jax.random.split(key, 3)
-    (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, START_SD), num_steps=warmup)
+    # The chains start wider than the posterior, so that R-hat can detect what they have not reached.
+    (state, adapted), _ = adapt.run(warmup_key, random_start(at, start_key, 1.5), num_steps=warmup)
     step: Any = blackjax.nuts(density, **adapted).step
 
     def draw(state: Any, key):
@@ -156,7 +149,7 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
 
 def _interval(bounds: tuple[float, float], log: np.ndarray) -> Interval:
     """The interval of one value; an end is unbounded where a search bound cuts the density off."""
-    low, high = np.quantile(log, TAILS)
+    low, high = np.quantile(log, (0.025, 0.975))
     highest = np.histogram(log, bins=BINS, range=(low, high))[0].max()
     width = (high - low) / BINS
     inward = {"low": log - bounds[0], "high": bounds[1] - log}

@@ -53,8 +53,6 @@ STUDENT = 10.0
 # Residual standard deviation τ of a path, dB, median and spread, from notes recorded at several velocities
 # (benchmarks/path_prior.py).
 PATH = (4.5, 0.4)
-# Nodes of the quadrature over τ.
-PATH_NODES = 3
 # A censored partial may exceed the bound of its band by this, dB: leakage of neighbours can cancel it.
 CENSORED_MARGIN = 1.0
 # Initial hammer velocity, m/s, if none is given: a moderate forte.
@@ -88,8 +86,8 @@ LAW_REACH = 10.0
 
 
 def path_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
-    x, weight = np.polynomial.hermite_e.hermegauss(PATH_NODES)
+    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
+    x, weight = np.polynomial.hermite_e.hermegauss(3)
     return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
 
 

@@ -36,10 +36,6 @@ NEAR = 0.03
 ITERATIONS, TOLERANCE = 60, 1e-4
 # First step, log, of a parameter at a bound, which has no standard deviation by Laplace's approximation.
 FIRST_STEP = 0.5
-# With √(rise) this far above the target, a secant does not locate the crossing.
-STEEP = 2.0
-# F lower than the fit's by more than this is another minimum.
-LOWER = 0.5
 
 
 class _Point(NamedTuple):
@@ -78,7 +74,7 @@ def profiles(problem: FitProblem, estimate: Estimate) -> IntervalResult:
 
 
 def _messages(lower: dict[str, float]) -> list[str]:
-    names = [name for name, by in lower.items() if by > LOWER]
+    names = [name for name, by in lower.items() if by > 0.5]  # or else it is the same minimum
     message = (
         f"The profile of {', '.join(names)} found F lower by {max(lower.values()):.2g} than the fit: the search missed "
         "the lowest minimum. Try another seed."
@@ -153,7 +149,7 @@ class _Profile:
             fraction = (1 - low) / (high - low) if np.isfinite(high) else 0.0
             if high - 1 <= NEAR or 1 - low <= NEAR or len(points) >= MOST:
                 return _ProfileBranch(points, below.log + fraction * (above.log - below.log), False)
-            fraction = fraction if high <= STEEP else 0.5
+            fraction = fraction if high <= 2.0 else 0.5  # far above the target, a secant does not locate the crossing
             log = below.log + fraction * (above.log - below.log)
             points.append(self._fixed(i, log, below, below.logs + fraction * (above.logs - below.logs)))
             below, above = (points[-1], above) if self.normalised_rise(points[-1]) < 1 else (below, points[-1])

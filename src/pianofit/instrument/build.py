@@ -18,7 +18,7 @@ from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.output_path import OutputPath
-from ..schema.instrument import KeyboardLaw, OwnFit, Value, ValueState, VelocityCurve
+from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, ValueState, VelocityCurve
 from .collect_fits import KeyFit
 from .instrument import Instrument, Key
 from .interpolate_keys import with_interpolated_responses
@@ -58,7 +58,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     Raises
     ------
     ParameterError
-        If there is no fit.
+        Without any fit.
 
     Examples
     --------
@@ -169,14 +169,14 @@ def _key(
     return Key(note._replace(path=own.path, ringing=own.ringing), worst, values, keys[j].summary)
 
 
-def _value(name: str, column: _Column, i: int, j: int | None) -> Value:
+def _value(name: str, column: _Column, i: int, j: int | None) -> KeyValue:
     """Return one quantity of the key with the index `i`; `j` is the index of its fit, if it has one."""
     unscaled, law, own = LAW_QUANTITIES[name].unscaled, column.law, None
     if j is not None:
         value, interval = float(unscaled(column.own[j])), _interval(name, column.own[j], column.own_sd[j])
         own = OwnFit(value, interval, column.state[j], float(law.z[j]))
     interval = _interval(name, column.played[i], column.sd[i])
-    return Value(float(unscaled(column.played[i])), interval, float(unscaled(column.centre[i])), own)
+    return KeyValue(float(unscaled(column.played[i])), interval, float(unscaled(column.centre[i])), own)
 
 
 def _interval(name: str, y: Any, sd: Any) -> tuple[Any, Any]:

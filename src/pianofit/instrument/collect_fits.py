@@ -19,12 +19,13 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..io.files import printable
+from ..io.number_format import log_half_width
 from ..model.decay import decays_and_beats
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..schema.fit import Fit, read_fit
-from ..schema.instrument import FitSummary, Layer, PartialDecay
+from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..schema.quantities import Quantity
 from .key_quantities import LAW_QUANTITIES, reference_compression
@@ -68,7 +69,7 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     Raises
     ------
     FitError
-        If there is no fit, or if the folders hold several instruments and `prefix` names none of them.
+        Without any fit, or if the folders hold several instruments and `prefix` names none of them.
 
     Examples
     --------
@@ -209,10 +210,10 @@ def _layers(fit: Fit, scale: float) -> tuple[Layer, ...]:
     return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 
-def partial_decays(response: ModalResponse) -> tuple[PartialDecay, ...]:
+def partial_decays(response: ModalResponse) -> tuple[PartialEntry, ...]:
     """Return the split of the two beating modes, cents, and the ratio of late to early T60 of the lowest partials."""
     return tuple(
-        PartialDecay(
+        PartialEntry(
             partial.number,
             _finite(partial.late / partial.early),
             _finite(1200 * math.log2(1 + partial.beat_frequency / partial.frequency)),
@@ -248,7 +249,7 @@ def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, floa
 
 def _log_sd(quantity: Quantity | None) -> float | None:
     """Return the standard deviation of the logarithm of a quantity; None without an interval."""
-    half = None if quantity is None else quantity.log_half_width
+    half = None if quantity is None else log_half_width(quantity.interval)
     return None if half is None else half / HALF_WIDTH_95
 
 

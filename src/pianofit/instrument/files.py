@@ -6,11 +6,23 @@ import os
 from pathlib import Path
 
 from ..analysis.note_names import midi_to_note
-from ..errors import ParameterError
+from ..errors import FitError, ParameterError
 from ..io.files import printable, replace_file, short_repr
+from ..model.note import Note
+from ..model.simulate import check_geometry
+from ..parameters import Geometry, Hammer, String, check
 from ..schema.decode import encode_json
-from ..schema.fit import package_versions
-from ..schema.instrument import INSTRUMENT_FILE, InstrumentFile, KeyEntry, read_instrument_file
+from ..schema.fit import PathEntry, package_versions
+from ..schema.instrument import (
+    INSTRUMENT_FILE,
+    GeometryEntry,
+    HammerEntry,
+    InstrumentFile,
+    KeyEntry,
+    StringEntry,
+    read_instrument_file,
+)
+from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, load_keys
 from .instrument import Instrument, Key
@@ -26,6 +38,10 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     ----------
     path : an `instrument.json`, its folder, or a folder of fits, which are combined by `build_instrument`.
     prefix : name of the instrument, if a folder holds fits of several.
+
+    Returns
+    -------
+    An `Instrument`.
 
     Raises
     ------
@@ -51,20 +67,31 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
         raise ParameterError(
             f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
         )
-    record = read_instrument_file(file)
-    keys = {
-        entry.midi: Key(
-            note=entry.playable(record.quantity, f"{printable(file)}: keys[{i}]"),
-            state=entry.state,
-            values=entry.values,
-            fit=entry.fit,
-            changes=entry.changes,
-            is_interpolated=entry.modal_response == "neighbours",
-        )
-        for i, entry in enumerate(record.keys)
-    }
+    record, name = read_instrument_file(file), printable(file)
+    keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
     keys = with_interpolated_responses(keys)
     return Instrument(printable(record.name), keys, record.velocity, record.laws, record.warnings)
+
+
+def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
+    """Return the key of an entry, without an interpolated modal response. Its values are checked."""
+    string, hammer, geometry = vars(entry.string), vars(entry.hammer), Geometry(**vars(entry.geometry))
+    try:
+        check(string | hammer, where)
+        check_geometry(geometry, quantity)
+    except ParameterError as error:
+        raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+    response = entry.modal_response
+    note = Note(
+        String(**string),
+        Hammer(**hammer, v_H0=2.0),  # each stroke sets its own velocity
+        geometry,
+        quantity,
+        entry.gain,
+        None if entry.path is None else entry.path.output_path,
+        response.response(None, where) if isinstance(response, ModalResponseEntry) else None,
+    )
+    return Key(note, entry.state, entry.values, entry.fit, entry.changes, response == "neighbours")
 
 
 def instrument_record(instrument: Instrument) -> InstrumentFile:
@@ -74,21 +101,30 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         quantity=instrument.quantity,  # pyright: ignore[reportArgumentType]
         velocity=instrument.velocity,
         laws=dict(instrument.laws),
-        keys=tuple(
-            KeyEntry.of(
-                midi,
-                key.note,
-                is_interpolated=key.is_interpolated,
-                note=midi_to_note(midi),
-                state=key.state,
-                values=dict(key.values),
-                changes=None if key.changes is None else dict(key.changes),
-                fit=key.fit,
-            )
-            for midi, key in sorted(instrument.keys.items())
-        ),
+        keys=tuple(_entry(midi, key) for midi, key in sorted(instrument.keys.items())),
         warnings=instrument.warnings,
         versions=package_versions(),
+    )
+
+
+def _entry(midi: int, key: Key) -> KeyEntry:
+    hammer, path, response = key.note.hammer, key.note.path, key.note.ringing
+    modal_response = "neighbours" if key.is_interpolated else None
+    if response is not None and not key.is_interpolated:
+        modal_response = ModalResponseEntry.of(response, embed_knock=True)
+    return KeyEntry(
+        midi=midi,
+        note=midi_to_note(midi),
+        state=key.state,
+        string=StringEntry(*map(float, key.note.string)),
+        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H))),
+        geometry=GeometryEntry(*map(float, key.note.geometry)),
+        gain=float(key.note.gain),
+        path=None if path is None else PathEntry(path.frequency, path.db, path.decay_at(path.frequency)),
+        modal_response=modal_response,
+        values=dict(key.values),
+        changes=None if key.changes is None else dict(key.changes),
+        fit=key.fit,
     )
 
 

@@ -9,7 +9,7 @@ from ..analysis.note_names import midi_to_note
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.note import Note
-from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, Value, VelocityCurve
+from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
 
 __all__ = ["KEY_STATES", "Instrument", "Key"]
 
@@ -40,7 +40,7 @@ class Key:
 
     note: Note
     state: KeyState | None = None
-    values: Mapping[str, Value] = field(default_factory=dict)
+    values: Mapping[str, KeyValue] = field(default_factory=dict)
     fit: FitSummary | None = None
     changes: Mapping[str, float] | None = None
     is_interpolated: bool = False

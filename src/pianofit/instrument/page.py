@@ -19,7 +19,7 @@ from ..io.number_format import number
 from ..report import html
 from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
-from ..schema.instrument import PartialDecay
+from ..schema.instrument import PartialEntry
 from .collect_fits import LOUDEST_VELOCITY
 from .instrument import KEY_STATES, Instrument, Key
 from .key_quantities import LAW_QUANTITIES, reference_compression
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["write_page"]
 
-LITERATURE, LAW = INITIAL, FITTED
 CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
 FIGURES = {
@@ -117,10 +116,10 @@ def _law(axes: Axes, instrument: Instrument, name: str) -> None:
     values = {midi: key.values[name] for midi, key in instrument.keys.items()}
     x = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
     if law.literature is not None:
-        axes.plot(x, law.literature, color=LITERATURE, ls=(0, (4, 1.6)), lw=1.2, label="literature")
+        axes.plot(x, law.literature, color=INITIAL, ls=(0, (4, 1.6)), lw=1.2, label="literature")
     axes.fill_between(x, law.low, law.high, color=BAND, lw=0, label="95 % of the law")
-    axes.plot(x, law.value, color=LAW, lw=1.5, label="law")
-    axes.plot([*values], [value.value for value in values.values()], ".", ms=3, color=LAW, label="used for playing")
+    axes.plot(x, law.value, color=FITTED, lw=1.5, label="law")
+    axes.plot([*values], [value.value for value in values.values()], ".", ms=3, color=FITTED, label="used for playing")
     fits = {midi: value.own_fit for midi, value in values.items() if value.own_fit}
     fitted = np.array([fit.value for fit in fits.values()])
     low, high = np.array([fit.interval for fit in fits.values()]).T
@@ -158,7 +157,7 @@ def _paths(axes: Axes, instrument: Instrument) -> None:
         path = key.note.path
         if path is None or not (key.fit or midi in CS):
             continue
-        style = {"lw": 1.3, "zorder": 3, "color": LAW, "alpha": 0.8}
+        style = {"lw": 1.3, "zorder": 3, "color": FITTED, "alpha": 0.8}
         if key.fit:
             style = {"lw": 0.9, "zorder": 2, "color": MEASURED, "alpha": 0.5}
         axes.semilogx(path.frequency, path.db, **style)
@@ -175,7 +174,7 @@ def _residuals(axes: Axes, instrument: Instrument) -> None:
     _keyboard(axes)
 
 
-def _decays(axes: Axes, partials: list[tuple[int, PartialDecay]], name: str) -> None:
+def _decays(axes: Axes, partials: list[tuple[int, PartialEntry]], name: str) -> None:
     """One quantity of the lowest partials of the keys with a modal response."""
     values = [(midi, entry.partial, getattr(entry, name)) for midi, entry in partials]
     for partial in sorted({k for _, k, _ in values}):
@@ -196,6 +195,6 @@ def _velocities(axes: Axes, instrument: Instrument) -> None:
     curve, x = instrument.velocity, range(1, 128)
     if curve.layers:
         axes.plot(*np.array(curve.layers).T, "o", ms=3.6, color=MEASURED)
-    axes.plot(x, [curve.at(v) for v in x], color=LAW, lw=1.5)
+    axes.plot(x, [curve.at(v) for v in x], color=FITTED, lw=1.5)
     _log(axes, [0.1, 10.0])
     axes.set(title="hammer velocity; points: recorded layers", xlabel="MIDI velocity", ylabel="m/s", xlim=(0, 128))

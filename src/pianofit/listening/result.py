@@ -34,12 +34,23 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 
     Returns
     -------
-    One `Count` for each condition, in order of appearance.
+    Hits, p and interval of each condition, in order of appearance.
 
     Raises
     ------
     ParameterError
         If a file has no answers, or two files have the same content.
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> import pianofit
+    >>> trials = 9 * [{"condition": "ABX", "chosen": "a", "hit": "a"}]
+    >>> _ = Path("answers.json").write_text(json.dumps({"schema": 2, "trials": trials}))
+    >>> (count,) = pianofit.count_answers([Path("answers.json")])
+    >>> count.hits, count.of, f"{count.p:.4f}"
+    (9, 9, '0.0039')
     """
     from scipy.stats import binomtest
 

@@ -20,7 +20,7 @@ from .mushra import write_experiment
 from .page import ListeningSound, Question, write_listening
 from .pairs import MAX_PAIRS, load_pair, pairs_of
 
-__all__ = ["ListeningSummary", "listening_test"]
+__all__ = ["ListeningSummary", "write_listening_test"]
 
 # Time before the onset, s, because a knock may begin 12 ms earlier. The first half fades in.
 LEAD = 0.02
@@ -37,16 +37,16 @@ class ListeningSummary(NamedTuple):
     trials: int
 
 
-def listening_test(
+def write_listening_test(
     a: Path,
     b: Path,
     folder: Path,
     *,
-    reference: Path | None,
-    trials: int,
-    seconds: float,
-    seed: int,
-    exclude_invalid: bool,
+    reference: Path | None = None,
+    trials: int = 16,
+    seconds: float = 4.0,
+    seed: int = 0,
+    exclude_invalid: bool = False,
 ) -> ListeningSummary:
     """Write `listen.html`, its key, and a webMUSHRA experiment with the same sounds.
 
@@ -61,8 +61,34 @@ def listening_test(
     seed : seed of all random choices.
     exclude_invalid : leave out pairs of which a sound fails a check. Otherwise a failed check is an error.
 
-    Raises `ParameterError` if `trials` or `seconds` is out of range, `RecordingError` if a sound cannot be read, fails
-    a check, or differs from its pair in rate or channels, and `OutputError` if a file cannot be written.
+    Returns
+    -------
+    The names of the sounds, those that were left out, and the number of questions.
+
+    Raises
+    ------
+    ParameterError
+        If `trials` or `seconds` is out of range.
+    RecordingError
+        If a sound cannot be read, fails a check, or differs from its pair in rate or channels.
+    OutputError
+        If a file cannot be written.
+
+    Examples
+    --------
+    Middle C with two hammers:
+
+    >>> from pathlib import Path
+    >>> import pianofit
+    >>> it = pianofit.typical("C4")
+    >>> for name, mass in (("light", 0.8), ("heavy", 1.2), ("test", None)):
+    ...     Path(name).mkdir()
+    ...     if mass is not None:
+    ...         hammer = it.hammer._replace(M_H=mass * it.hammer.M_H)
+    ...         note = pianofit.Note(it.string, hammer, it.geometry, "bridge-force", gain=0.005)
+    ...         pianofit.write_wav(f"{name}/C4.wav", note.render(2.0, seconds=2.0), 44_100)
+    >>> pianofit.write_listening_test(Path("light"), Path("heavy"), Path("test"), trials=4).trials
+    8
     """
     check_range("trials=", trials, 1, MAX_TRIALS)
     check_range("seconds=", seconds, 0.25, 30)

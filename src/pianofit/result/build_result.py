@@ -9,8 +9,7 @@ import numpy as np
 
 from ..analysis import cents_above
 from ..felt import law_of
-from ..inference import InferenceResult, IntervalResult
-from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..model.note import Note
 from ..schema.decode import convert
 from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
@@ -214,7 +213,7 @@ def record_of(
 
 
 def pickup_of(quantity: str, recordings: Sequence[FittedRecording], records: Sequence[RecordingFit]) -> Pickup:
-    """What was recorded, with the output paths of the reference recording and, if there are several, of all groups."""
+    """The recorded quantity, and the output paths: of the reference recording, and of all groups if there are several."""
     pairs = zip(recordings, records, strict=True)
     paths = {str(record.path_group): PathEntry.of(fitted.fitted.note.path) for fitted, record in pairs}
     reference = next(str(record.path_group) for record in records if record.is_reference)

@@ -20,9 +20,7 @@ from ..criterion import (
     level_error_db,
     measure,
 )
-from ..inference import InferenceResult
-from ..inference.observation_tables import scatter_by_number
-from ..inference.parametrisation import STRING_SIZE
+from ..inference import STRING_SIZE, InferenceResult, scatter_by_number
 from ..model.note import Note
 from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES

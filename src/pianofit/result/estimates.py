@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inference import InferenceResult, InitialValues, Interval, Posterior
-from ..inference.parametrisation import LOG_ABSENT_LOSS
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interval, Posterior
 from ..parameters import FIT_NAMES
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
 from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..inference import FitProblem, InferenceResult, Minima
-from ..inference.batched_model import DB, string_law
-from ..inference.derivatives import LatentPosterior
+from ..inference import (
+    STRING_SIZE,
+    FitProblem,
+    InferenceResult,
+    LatentPosterior,
+    Minima,
+    scatter_by_number,
+    string_law,
+)
+from ..inference.batched_model import DB
 from ..inference.likelihood import ObservationTable, variance
-from ..inference.observation_tables import scatter_by_number
-from ..inference.parametrisation import STRING_SIZE
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 

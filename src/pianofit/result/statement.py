@@ -59,7 +59,7 @@ def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status]
 
 
 def _uncalibrated(fit: InferenceResult) -> str:
-    """What uncalibrated recordings determine, by their number and velocities."""
+    """Sentences on uncalibrated recordings, by their number and velocities."""
     count = len(fit.problem.recordings)
     if count == 1 and fit.problem.path:
         return (

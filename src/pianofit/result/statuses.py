@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inference import InferenceResult
-from ..inference.parametrisation import STRING_SIZE
+from ..inference import STRING_SIZE, InferenceResult
 from ..schema.quantities import Status
 
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.

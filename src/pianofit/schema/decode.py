@@ -26,7 +26,7 @@ T = TypeVar("T")
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 
 
-# What msgspec calls a type, and what a user calls it.
+# Words of a user for the names of types in the messages of msgspec.
 WORDS = {
     "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
     "object": "a table", "null": "null",

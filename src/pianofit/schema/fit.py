@@ -108,7 +108,7 @@ class PathEntry:
 
 @dataclass(frozen=True)
 class Pickup:
-    """What was recorded, and the output path between the string and the file."""
+    """The recorded quantity, and the output path between the string and the file."""
 
     quantity: PickupQuantity
     path: PathEntry | None = None  # of the reference recording, at the best minimum
@@ -163,7 +163,7 @@ class PartialLevels:
 
 @dataclass(frozen=True, kw_only=True)
 class NoteRecording:
-    """What a note needs of its reference recording."""
+    """The entries of a reference recording that a note needs."""
 
     gain: Number  # file units per unit of the pickup
     rate: Rate  # Hz
@@ -314,7 +314,7 @@ class Fit(NoteFile):
 
     @property
     def has_intervals(self) -> bool:
-        """Whether any parameter has an interval; fits by the paper's methods have none."""
+        """True if a parameter has an interval; fits by the paper's methods have none."""
         return any(quantity.interval for quantity in self.parameters.values())
 
     def relative_gains(self, index: int | None = None) -> tuple[float, ...]:

@@ -14,11 +14,9 @@ import numpy as np
 from msgspec import Meta
 
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
-from ..errors import FitError, ParameterError
+from ..errors import FitError
 from ..io.files import printable
-from ..model.note import Note
-from ..model.simulate import check_geometry
-from ..parameters import PARAMETERS, Geometry, Hammer, String, check
+from ..parameters import PARAMETERS
 from .decode import Number, convert, load_json
 from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
@@ -26,14 +24,17 @@ from .modal_response import ModalResponseEntry
 __all__ = [
     "INSTRUMENT_FILE",
     "FitSummary",
+    "GeometryEntry",
+    "HammerEntry",
     "InstrumentFile",
     "KeyEntry",
     "KeyState",
+    "KeyValue",
     "KeyboardLaw",
     "Layer",
     "OwnFit",
-    "PartialDecay",
-    "Value",
+    "PartialEntry",
+    "StringEntry",
     "ValueState",
     "VelocityCurve",
     "read_instrument_file",
@@ -103,7 +104,7 @@ class OwnFit:
 
 
 @dataclass(frozen=True)
-class Value:
+class KeyValue:
     """A quantity of one key."""
 
     value: Number  # as played
@@ -123,7 +124,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class PartialDecay:
+class PartialEntry:
     """Beating and double decay of one partial."""
 
     partial: int
@@ -141,7 +142,7 @@ class FitSummary:
     converged: bool = True
     velocities: tuple[Number, ...] = ()  # of the recordings, ascending, m/s
     layers: tuple[Layer, ...] = ()  # soft to loud
-    partials: tuple[PartialDecay, ...] = ()  # the lowest
+    partials: tuple[PartialEntry, ...] = ()  # the lowest
 
 
 @dataclass(frozen=True)
@@ -189,52 +190,9 @@ class KeyEntry:
     path: PathEntry | None = None
     # `neighbours` if the response follows from the nearest recorded keys.
     modal_response: ModalResponseEntry | Literal["neighbours"] | None = None
-    values: dict[str, Value] = field(default_factory=dict)  # by name of the law
+    values: dict[str, KeyValue] = field(default_factory=dict)  # by name of the law
     changes: dict[str, Number] | None = None  # by slider of the page: factors, and a difference of p
     fit: FitSummary | None = None  # of a recorded key
-
-    @classmethod
-    def of(cls, midi: int, played: Note, *, is_interpolated: bool, **entries: Any) -> KeyEntry:
-        """Return the entry of a key. An interpolated modal response is left out."""
-        response = "neighbours" if is_interpolated else None
-        if played.ringing is not None and not is_interpolated:
-            response = ModalResponseEntry.of(played.ringing, embed_knock=True)
-        path, hammer = played.path, {n: float(getattr(played.hammer, n)) for n in HammerEntry.__dataclass_fields__}
-        return cls(
-            midi=midi,
-            string=StringEntry(*map(float, played.string)),
-            hammer=HammerEntry(**hammer),
-            geometry=GeometryEntry(*map(float, played.geometry)),
-            gain=float(played.gain),
-            path=None if path is None else PathEntry(path.frequency, path.db, path.decay_at(path.frequency)),
-            modal_response=response,
-            **entries,
-        )
-
-    def playable(self, quantity: str, where: str) -> Note:
-        """Return the note, without an interpolated modal response.
-
-        Raises
-        ------
-        FitError
-            If a value is out of range. The message begins with `where`.
-        """
-        geometry = Geometry(**vars(self.geometry))
-        try:
-            check(vars(self.string) | vars(self.hammer), where)
-            check_geometry(geometry, quantity)
-        except ParameterError as error:
-            raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
-        response = self.modal_response
-        return Note(
-            String(**vars(self.string)),
-            Hammer(**vars(self.hammer), v_H0=2.0),  # each stroke sets its own velocity
-            geometry,
-            quantity,
-            self.gain,
-            None if self.path is None else self.path.output_path,
-            response.response(None, where) if isinstance(response, ModalResponseEntry) else None,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,7 +100,7 @@ class VelocityGainEntry:
 
 @dataclass(frozen=True)
 class Knock:
-    """A knock: the file beside this one, or the sound itself in base64, divided by `scale`."""
+    """A knock: a file next to this one, or the sound itself in base64, divided by `scale`."""
 
     scale: Number  # full scale in units of the amplitudes
     rate: int | None = None  # Hz

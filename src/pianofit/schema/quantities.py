@@ -90,12 +90,6 @@ class Quantity:
         middle = abs((low + high) / 2 - self.value)
         return half / HALF_WIDTH_95 if 0 < half < math.inf and middle <= MAX_ASYMMETRY * half else None
 
-    @property
-    def log_half_width(self) -> float | None:
-        """Half of the 95 % interval of the logarithm; None without an interval of positive values."""
-        low, high = self.interval or (0.0, 0.0)
-        return math.log(high / low) / 2 if 0 < low < high else None
-
     def __float__(self) -> float:
         return float(self.value)
 

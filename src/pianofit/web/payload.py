@@ -21,7 +21,7 @@ from ..model.modal_response import ModalResponse, resample
 from ..model.note import Note
 from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
-from ..schema.instrument import Value
+from ..schema.instrument import KeyValue
 
 __all__ = ["KNOCK_ENCODINGS", "KnockEncoding", "encode_instrument", "encode_note", "slider_intervals"]
 
@@ -95,7 +95,7 @@ def _rounded(*numbers: float) -> list[float]:
     return [float(f"{x:.{DIGITS}g}") for x in numbers]
 
 
-def slider_intervals(values: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
+def slider_intervals(values: Mapping[str, KeyValue]) -> dict[str, tuple[float, float]]:
     """Return the 95 % intervals of the sliders in their units: factors, and differences of p.
 
     The interval of the losses is that of the decay rate of partial 1, b1 + d2, with independent errors of both.
@@ -116,7 +116,7 @@ def slider_intervals(values: Mapping[str, Value]) -> dict[str, tuple[float, floa
     return intervals
 
 
-def _is_positive(value: Value) -> bool:
+def _is_positive(value: KeyValue) -> bool:
     """Return whether a value lies in its interval, and all are above zero."""
     return 0 < value.interval[0] <= value.value <= value.interval[1]
 

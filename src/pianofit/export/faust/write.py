@@ -29,7 +29,6 @@ MODES = 128
 GROUP = 8
 # Largest number of table entries: a program of 12 MB. The time limit of the Faust compiler is two minutes by default.
 MOST_NUMBERS = 2_500_000
-MIDI_KEYS = 128
 
 
 class FaustSummary(NamedTuple):
@@ -142,7 +141,7 @@ def _fit_knocks(key_tables: Sequence[KeyTables]) -> tuple[int | None, list[LowRa
 
 def _key_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], channels: int, gain: float) -> Iterator[str]:
     """Definitions of all tables except the knocks. Rows of keys are concatenated, with the offset of each row."""
-    nearest = [int(np.argmin(np.abs(np.array(keys) - midi))) for midi in range(MIDI_KEYS)]
+    nearest = [int(np.argmin(np.abs(np.array(keys) - midi))) for midi in range(128)]
     yield _table("row_of_key", nearest)
     yield _table("key_of_row", keys)
     yield _table("damper_of_row", [damper_rate(key) for key in keys])
