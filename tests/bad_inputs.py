@@ -291,7 +291,11 @@ COMMANDS = [
     result("no-trials", {"schema": 2}, "trials is missing"),
     result("empty-trials", {"schema": 2, "trials": []}, "has no answers"),
     result("trial-number", {"schema": 2, "trials": [7]}, "trials[0] = 7 must be a table"),
-    result("chosen", {"schema": 2, "trials": [{"condition": "x", "chosen": ["a"], "hit": "a"}]}, "chosen = ['a'] must be one of a, b"),
+    result(
+        "chosen",
+        {"schema": 2, "trials": [{"condition": "x", "chosen": ["a"], "hit": "a"}]},
+        "chosen = ['a'] must be one of a, b",
+    ),
     result("nested", b"[" * 100_000, "not answers"),
     command("listen-result-twice", "listen --result @/answers.json --result @/answers.json", "same", build=answered),
     command("unknown-command", "tune", "tune", 2),

@@ -19,10 +19,8 @@ from ..io.files import (
 )
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import RATE, Built, Force, Json, Prefix, Sound
+from .options import RATE, Built, Force, Json, Prefix, Sound, text
 from .terminal import print_result
-
-__all__ = ["instrument", "page", "play"]
 
 PAGE = "piano.html"
 
@@ -31,11 +29,9 @@ def instrument(
     fits: Annotated[
         list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="The folder of a batch, or single fits.")
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for instrument.json and instrument.html.")],
+    out: Annotated[Path, text("DIR", "Folder for instrument.json and instrument.html.")],
     prefix: Prefix = None,
-    name: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of the instrument. Default: the prefix, or the folder.")
-    ] = None,
+    name: Annotated[str | None, text("NAME", "Name of the instrument. Default: the prefix, or the folder.")] = None,
     page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
     force: Force = False,
     as_json: Json = False,
@@ -112,13 +108,11 @@ def _play_summary(out: Path, info: dict[str, Any]) -> str:
 def page(
     built: Built,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.HTML", help=f"HTML file to write. Default: {PAGE} next to the instrument."),
+        Path | None, text("FILE.HTML", f"HTML file to write. Default: {PAGE} next to the instrument.")
     ] = None,
     prefix: Prefix = None,
     recordings: Annotated[
-        bool,
-        typer.Option("--recordings", help="Include the recordings in the page, to compare them with the keys."),
+        bool, typer.Option("--recordings", help="Include the recordings in the page, to compare them with the keys.")
     ] = False,
     force: Force = False,
     as_json: Json = False,
