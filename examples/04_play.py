@@ -17,8 +17,6 @@ from pathlib import Path
 import mido
 
 import pianofit
-from pianofit.instrument import Instrument, Key, load_instrument
-from pianofit.playback import load_song, render_song
 
 BARS = """C4 E4 G4 C5 E5, C4 D4 A4 D5 F5, B3 D4 G4 D5 F5, C4 E4 G4 C5 E5, C4 E4 A4 E5 A5, C4 D4 F#4 A4 D5,
 B3 D4 G4 D5 G5, B3 C4 E4 G4 C5, A3 C4 E4 G4 C5, D3 A3 D4 F#4 C5, G3 B3 D4 G4 B4, C3 G3 C4 E4 C5"""
@@ -55,21 +53,21 @@ def write_prelude(path: Path, bars: int) -> None:
     mido.MidiFile(type=0, ticks_per_beat=4 * TICKS, tracks=[track]).save(path)
 
 
-def literature() -> Instrument:
+def literature() -> pianofit.Instrument:
     """Return an instrument with typical parameters of a grand piano; its sound is the bridge force, full scale 10 N."""
     keys = {}
     for midi in range(21, 109):
         it = pianofit.typical(midi)
-        keys[midi] = Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
-    return Instrument("literature", keys)
+        keys[midi] = pianofit.Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
+    return pianofit.Instrument("literature", keys)
 
 
 def main() -> None:
     """Write the MIDI file, play it, and write the sound."""
-    instrument = load_instrument(sys.argv[1]) if len(sys.argv) > 1 else literature()
+    instrument = pianofit.load_instrument(sys.argv[1]) if len(sys.argv) > 1 else literature()
     write_prelude(Path("prelude.mid"), bars=len(BARS.split(",")))
-    song = load_song("prelude.mid")
-    done = render_song(instrument, song, rate=48_000)
+    song = pianofit.load_song("prelude.mid")
+    done = pianofit.render_song(instrument, song, rate=48_000)
     pianofit.write_wav("prelude.wav", done.samples, 48_000)
     print(f"{song.notes} notes, {done.restrikes} of them on a string that still sounds")
     seconds = done.samples.shape[-1] / 48_000

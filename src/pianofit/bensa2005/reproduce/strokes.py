@@ -156,12 +156,12 @@ def fitted(stroke: Stroke, recipe: str, seed: int, annealing: int | None = None,
     results = [
         fit_bensa2005(*data, setup, "paper", evaluations=annealing, seed=seed + SEED_STEP * n) for n in range(tries)
     ]
-    return min(results, key=lambda result: result.document["criterion"]["band3"]["final"])
+    return min(results, key=lambda result: result.fit.criterion.bands["band3"].final)
 
 
 def values_of(result: Result) -> dict[str, float]:
     """Return the nine fitted parameters."""
-    return {name: float(result.document["parameters"][name]["value"]) for name in FIT_NAMES}
+    return {name: float(result.parameters[name].value) for name in FIT_NAMES}
 
 
 def rms(values: np.ndarray) -> float:

@@ -71,9 +71,9 @@ def _parameters(f: Findings) -> dict[str, Table]:
     fits = {f"{lab}: {RECIPES[r]}": result for lab, stroke in f.tables.items() for r, result in stroke.results.items()}
     values = {f"paper: {column}": printed for column, printed in PRINTED.items()} | {"truth": f.true}
     values |= {column: values_of(result) for column, result in fits.items()}
-    own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
+    own = {column: fits[column].parameters for column in fits if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
-    within = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
+    within = [(p, *(x for table in own.values() for x in (table[p].interval or (None, None)))) for p in FIT_NAMES]
     shares = [(band, k, share) for band, by_partial in f.origin.shares().items() for k, share in by_partial.items()]
     return {
         name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
