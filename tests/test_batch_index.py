@@ -43,9 +43,10 @@ def store(tmp_path) -> Store:
         document = fit_document(note, ERRORS)
         span = [200.0, 300.0]
         document["invariants"] = {"f0": {"value": note.string.c / (2 * note.geometry.length), "interval": span}}
-        document["derived"] = document.get("derived", {}) | {"f1": float(midi)}
+        document["derived"]["f1"] = float(midi)
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
+        own = {"file": str(file), "sha256": digest, "is_reference": True, "rate": RATE}
+        document["recordings"] = [document["recordings"][0] | own]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
         name = midi_name(midi)
         store.commit(Entry(key, name, key, "running", (Source(str(file), file.name, digest),), seconds=20.0), files)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import doctest
 import json
 import re
 from collections.abc import Callable
@@ -18,10 +17,8 @@ import soundfile
 from instrument_cases import ERRORS, document_of, fit_document, library, true_note, uneven_note, write_fit
 from typer.testing import CliRunner, Result
 
-from pianofit import export, instrument, playback, web
 from pianofit.cli import app
 from pianofit.errors import FitError
-from pianofit.export import faust
 from pianofit.instrument import Instrument, build_instrument, find_fits, load_instrument, load_keys, write_instrument
 from pianofit.instrument.collect_fits import partial_decays
 from pianofit.instrument.page import write_page
@@ -320,19 +317,3 @@ def test_a_document_may_lack_what_is_only_reported(document, tmp_path):
     read = load_instrument(tmp_path)
     assert sorted(read.keys) == [21, 22, 23]
     assert read.keys[21].note.path is None
-
-
-def test_the_examples_of_docstrings_run(melody, monkeypatch):
-    """Those of the functions that combine, play and export instruments, in a folder with a batch of two keys."""
-    monkeypatch.chdir(melody.parent)
-    for midi in (60, 64):
-        write_fit(Path("batch"), midi, fit_document(true_note(midi), ERRORS), "cp80")
-    ran = set()
-    for module in (instrument, playback, export, faust, web):
-        for name in module.__all__:
-            test = doctest.DocTestParser().get_doctest(getattr(module, name).__doc__ or "", {}, name, None, None)
-            if test.examples:
-                assert doctest.DocTestRunner().run(test).failed == 0, name
-                ran.add(name)
-    assert {"load_instrument", "build_instrument", "write_instrument", "Instrument", "render_song", "load_song",
-            "export_sampler", "write_faust", "write_page"} <= ran  # fmt: skip

@@ -101,10 +101,9 @@ def export_sampler(
     Examples
     --------
     >>> from pathlib import Path
-    >>> from pianofit.export import ExportOptions, export_sampler
-    >>> from pianofit.instrument import load_instrument
-    >>> options = ExportOptions(layers=2, seconds=0.2)
-    >>> export_sampler(load_instrument("batch", prefix="cp80"), Path("sampler"), [60, 64], options).samples
+    >>> import pianofit
+    >>> piano, options = pianofit.load_instrument("batch", prefix="cp80"), pianofit.ExportOptions(2, seconds=0.2)
+    >>> pianofit.export_sampler(piano, Path("sampler"), [60, 64], options).samples
     4
     """
     if to not in SAMPLERS:

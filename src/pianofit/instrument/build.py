@@ -63,8 +63,8 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from pianofit.instrument import build_instrument, find_fits, load_keys
-    >>> build_instrument(load_keys(find_fits([Path("batch")], "cp80")), "my CP80")
+    >>> import pianofit
+    >>> pianofit.build_instrument(pianofit.load_keys(pianofit.find_fits([Path("batch")], "cp80")), "my CP80")
     Instrument('my CP80', 88 keys, 2 recorded)
     """
     if not keys:

@@ -74,8 +74,8 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from pianofit.instrument import find_fits
-    >>> [file.parent.name for file in find_fits([Path("batch")], "cp80")]
+    >>> import pianofit
+    >>> [file.parent.name for file in pianofit.find_fits([Path("batch")], "cp80")]
     ['cp80-C4', 'cp80-E4']
     """
     found: list[Path] = []
@@ -135,8 +135,8 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from pianofit.instrument import find_fits, load_keys
-    >>> [key.midi for key in load_keys(find_fits([Path("batch")], "cp80"))]
+    >>> import pianofit
+    >>> [key.midi for key in pianofit.load_keys(pianofit.find_fits([Path("batch")], "cp80"))]
     [60, 64]
     """
     keys: dict[int, KeyFit] = {}

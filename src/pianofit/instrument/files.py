@@ -53,8 +53,8 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
 
     Examples
     --------
-    >>> from pianofit.instrument import load_instrument
-    >>> load_instrument("batch", prefix="cp80")
+    >>> import pianofit
+    >>> pianofit.load_instrument("batch", prefix="cp80")
     Instrument('cp80', 88 keys, 2 recorded)
     """
     path = Path(path)
@@ -149,9 +149,9 @@ def write_instrument(path: str | os.PathLike[str], instrument: Instrument) -> In
 
     Examples
     --------
-    >>> from pianofit.instrument import load_instrument, write_instrument
-    >>> record = write_instrument("instrument.json", load_instrument("batch", prefix="cp80"))
-    >>> record.velocity == load_instrument("instrument.json").velocity
+    >>> import pianofit
+    >>> record = pianofit.write_instrument("instrument.json", pianofit.load_instrument("batch", prefix="cp80"))
+    >>> record.velocity == pianofit.load_instrument("instrument.json").velocity
     True
     """
     record = instrument_record(instrument)

@@ -63,13 +63,12 @@ class Instrument:
     Three keys with typical parameters of a grand piano:
 
     >>> import pianofit
-    >>> from pianofit.instrument import Instrument, Key
     >>> presets = {midi: pianofit.typical(midi) for midi in (60, 64, 67)}
     >>> keys = {
-    ...     midi: Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
+    ...     midi: pianofit.Key(pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.1))
     ...     for midi, it in presets.items()
     ... }
-    >>> Instrument("grand", keys).note(60, velocity=64).hammer.v_H0
+    >>> pianofit.Instrument("grand", keys).note(60, velocity=64).hammer.v_H0
     1.3
     """
 

@@ -66,8 +66,8 @@ def load_song(path: str | os.PathLike[str]) -> Song:
 
     Examples
     --------
-    >>> from pianofit.playback import load_song
-    >>> song = load_song("melody.mid")
+    >>> import pianofit
+    >>> song = pianofit.load_song("melody.mid")
     >>> song.notes, sorted(song.keys)
     (4, [60, 64, 67])
     """

@@ -76,9 +76,8 @@ def render_song(
 
     Examples
     --------
-    >>> from pianofit.instrument import load_instrument
-    >>> from pianofit.playback import load_song, render_song
-    >>> sound = render_song(load_instrument("batch", prefix="cp80"), load_song("melody.mid"))
+    >>> import pianofit
+    >>> sound = pianofit.render_song(pianofit.load_instrument("batch", prefix="cp80"), pianofit.load_song("melody.mid"))
     >>> len(sound.samples), sound.strikes
     (1, 4)
     """

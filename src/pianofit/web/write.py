@@ -60,9 +60,8 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
 
     Examples
     --------
-    >>> from pianofit.instrument import load_instrument
-    >>> from pianofit.web import write_page
-    >>> write_page("piano.html", load_instrument("batch", prefix="cp80"))
+    >>> import pianofit
+    >>> pianofit.write_page("piano.html", pianofit.load_instrument("batch", prefix="cp80"))
     PageSummary(knocks=None, layers=0)
     """
     payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)

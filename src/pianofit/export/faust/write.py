@@ -75,9 +75,8 @@ def write_faust(
 
     Examples
     --------
-    >>> from pianofit.export.faust import write_faust
-    >>> from pianofit.instrument import load_instrument
-    >>> write_faust("piano.dsp", load_instrument("batch", prefix="cp80"), [60, 64]).unrecorded
+    >>> import pianofit
+    >>> pianofit.write_faust("piano.dsp", pianofit.load_instrument("batch", prefix="cp80"), [60, 64]).unrecorded
     0
     """
     if not keys:
