@@ -44,7 +44,7 @@ USES = {
     "playback": "felt instrument io model parameters threads",
     "export": "analysis instrument io model playback report threads",
     "web": "analysis instrument io model parameters playback recording report schema",
-    "batch": "analysis fitting io model parameters recording report",
+    "batch": "analysis fitting io model parameters recording report schema",
     "cli": "analysis batch bensa2005 export felt schema fitting instrument io listening literature model parameters"
     " playback progress recording report result setup synthetic threads web",
     "__main__": "cli",

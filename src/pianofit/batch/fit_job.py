@@ -160,6 +160,8 @@ def _fit(
     """
     from ..fitting import fit
     from ..model.program_cache import enable_program_cache
+    from ..schema.decode import builtins_of, convert
+    from ..schema.fit import Fit
 
     setup, outputs = None, {}
     if job.setup:
@@ -175,9 +177,10 @@ def _fit(
             report_stage(stage)
 
     result = fit(*files, setup=setup, note=job.note, channel=settings.channel, seed=settings.seed, progress=progress)
-    if reason := _wrong_note(job.note, result.document["derived"]["f0"]):
+    if reason := _wrong_note(job.note, result.fit.derived.f0):
         raise AnalysisError(reason)
-    result.document.update(replace_strings(result.document, paths))
+    renamed = replace_strings(builtins_of(result.fit), paths)
+    result = replace(result, fit=convert(renamed, Fit, job.key, "this is an error of pianofit"))
     (out := place / "out").mkdir(exist_ok=True)
     result.save(out, force=True, page=False)
     if settings.page:
