@@ -213,7 +213,7 @@ def record_of(
 
 
 def pickup_of(quantity: str, recordings: Sequence[FittedRecording], records: Sequence[RecordingFit]) -> Pickup:
-    """The recorded quantity, and the output paths: of the reference recording, and of all groups if there are several."""
+    """The recorded quantity, the output path of the reference recording, and the paths of several groups."""
     pairs = zip(recordings, records, strict=True)
     paths = {str(record.path_group): PathEntry.of(fitted.fitted.note.path) for fitted, record in pairs}
     reference = next(str(record.path_group) for record in records if record.is_reference)

@@ -28,9 +28,14 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 
 # Words of a user for the names of types in the messages of msgspec.
 WORDS = {
-    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
-    "object": "a table", "null": "null",
-}  # fmt: skip
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "null",
+}
 EXPECTED = re.compile(r"Expected `([^`]+)`(?:, got `[^`]+`| ([<>]=? \S+)| (of .+))?")
 MISSING = re.compile(r"Object missing required field `(.+)`")
 
