@@ -219,8 +219,6 @@ def kinds() -> dict[str, Kind]:
     from pianofit.instrument import load_instrument, load_keys
     from pianofit.listening.result import count_answers
     from pianofit.playback import load_song
-    from pianofit.schema.fit import read_fit
-    from pianofit.schema.notes import notes_of_minima
 
     fit, knock, note, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
@@ -247,7 +245,7 @@ def kinds() -> dict[str, Kind]:
         },
         "setup": Kind("case.toml", setup, pianofit.Setup.from_toml, text=True),
         "fit": Kind(
-            "case.json", fit, lambda path: (pianofit.load_note(path), notes_of_minima(read_fit(path), path.parent, "")),
+            "case.json", fit, lambda path: (pianofit.load_note(path), repr(pianofit.Result.load(path))),
             beside={"knock.flac": knock},
         ),
         "fit-knock": Kind(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import csv
+import functools
 import hashlib
 import io
 import json
 import re
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,10 @@ from pianofit.cli import main
 from pianofit.cli.batch import _line
 from pianofit.dsp.loudness import k_weighted_mean_square
 from pianofit.io.files import encode_wav
+from pianofit.schema.decode import convert
+from pianofit.schema.fit import Fit
+from pianofit.schema.modal_response import FittedModalResponse
+from pianofit.schema.quantities import Quantities
 
 RATE = 22_050
 
@@ -132,39 +138,47 @@ def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
     assert [url for url in requests if not url.startswith("data:")] == [page_of]
 
 
-def tones(note="A4", **fit):
-    return [light.tone for light in lights(Entry("k", note, "x", "done"), fit)]
+@functools.cache
+def fitted() -> Fit:
+    return convert(fit_document(true_note(69), ERRORS), Fit, "fit", "")
+
+
+def tones(note="A4", **changes):
+    return [light.tone for light in lights(Entry("k", note, "x", "done"), replace(fitted(), **changes))]
 
 
 @pytest.mark.parametrize(("dB", "tone"), [(0.99, "good"), (1.02, "fair"), (2.99, "fair"), (3.02, "poor")])
 def test_a_match_is_judged_by_what_people_notice(dB, tone):
-    assert tones(levels={"fitted_db": dB})[0] == tone
+    assert tones(levels=replace(fitted().levels, fitted_db=dB))[0] == tone
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("cents", "tone"), [(24, "good"), (27, "fair"), (49, "fair"), (52, "poor")])
 def test_a_tuning_is_judged_by_the_notes_name(cents, tone, sign):
-    assert tones(derived={"f1": 440.0 * 2 ** (sign * cents / 1200)})[1] == tone
+    assert tones(derived=replace(fitted().derived, f1=440.0 * 2 ** (sign * cents / 1200)))[1] == tone
 
 
 @pytest.mark.parametrize(("dB", "tone"), [(2.9, "good"), (3.2, "fair"), (5.9, "fair"), (6.2, "poor")])
 def test_ringing_is_judged_by_the_layers_left_out(dB, tone):
-    assert tones(ringing={"by": "modes", "left_out_db": {"law": 9.0, "modes": dB}})[2] == tone
+    response = FittedModalResponse(render_model="modes", leave_one_out_db={"string model": 9.0, "modes": dB})
+    assert tones(modal_response=response)[2] == tone
 
 
 def test_what_is_not_there_is_not_judged():
-    assert tones(note="H9", derived={"f1": 440.0})[:3] == ["none"] * 3
-    assert tones(ringing={"by": "modes", "left_out_db": None})[2] == "none"
+    assert tones(note="H9")[1:3] == ["none"] * 2
+    assert tones(modal_response=FittedModalResponse(render_model="modes"))[2] == "none"
+    assert [light.tone for light in lights(Entry("k", "A4", "x", "done"), None)][:3] == ["none"] * 3
 
 
 def test_warnings_name_what_makes_a_key_doubtful():
-    bound = {"mu": {"status": "at-bound"}, "p": {"status": "fitted"}}
+    mu = replace(fitted().parameters.mu, status="at-bound")
+    bound = replace(fitted(), parameters=Quantities(fitted().parameters.entries | {"mu": mu}))
     entry = Entry("k", "A4", "x", "done", left_out=(UnusedFile("a", "a: clipped"),))
-    *_, light = lights(entry, {"parameters": bound, "converged": True})
+    *_, light = lights(entry, bound)
     assert (light.tone, light.text, light.value) == ("fair", "2", 2)
     assert "μ" in light.word
     assert "1 recording left out" in light.word
-    *_, worse = lights(entry, {"parameters": bound, "converged": False})
+    *_, worse = lights(entry, replace(bound, converged=False))
     assert worse.tone == "poor"
     assert worse.value > light.value
     assert tones()[3] == "good"

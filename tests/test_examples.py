@@ -117,7 +117,7 @@ def test_the_cells_of_a_notebook_run(monkeypatch, capsys, tmp_path):
     assert Path("fit/report.html").exists()
     sounds = ["fitted-recording 1.wav", "fitted-recording 2.wav", "fitted-recording 3.wav", "fitted.wav", "initial.wav"]
     assert sorted(file.name for file in Path("fit").glob("*.wav")) == sounds
-    assert pianofit.Result.load("fit").claims.startswith("3 uncalibrated recordings of one key")
+    assert pianofit.Result.load("fit").identifiability_statement.startswith("3 uncalibrated recordings of one key")
 
 
 @pytest.mark.parametrize("name", pianofit.__all__)

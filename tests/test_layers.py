@@ -20,8 +20,8 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 # The rooms that each room may import, besides itself and `EVERYWHERE`.
 USES = {
-    "dsp": "",
     "io": "",
+    "dsp": "",
     "progress": "",
     "threads": "",
     "conversions": "",
@@ -46,7 +46,7 @@ USES = {
     "report": "analysis dsp felt io modal_response model parameters result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
-    "batch": "analysis fitting io model parameters recording report",
+    "batch": "analysis fitting io model parameters recording report schema",
     "instrument": "analysis dsp io literature model parameters report schema",
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io model parameters threads",

@@ -78,7 +78,7 @@ def test_there_is_an_uncertainty_where_the_interval_has_one():
         assert (wide.sd is not None) == symmetric
         if symmetric:
             assert wide.sd == pytest.approx(3 * s, rel=0.02)
-    for none in (replace(it, interval=None), replace(it, interval_open=("low",)), replace(it, interval=(2.277, 2.277))):
+    for none in (replace(it, interval=None), replace(it, interval_unbounded=("low",)), replace(it, interval=(2.277, 2.277))):
         assert none.sd is None
 
 
@@ -87,9 +87,9 @@ def test_without_an_uncertainty_the_interval_is_written():
     loose = replace(it, interval=(1.5, 4.5))
     assert f"{loose:S}" == f"{loose:P}" == "2.28 [1.50, 4.50]"
     assert f"{loose:L}" == r"2.28\;[1.50,\,4.50]"
-    assert f"{replace(loose, interval_open=('high',)):S}" == "2.28 (> 1.50)"
-    assert f"{replace(loose, interval_open=('low',)):S}" == "2.28 (< 4.50)"
-    assert "4.5" not in f"{replace(loose, interval_open=('low', 'high')):S}"
+    assert f"{replace(loose, interval_unbounded=('high',)):S}" == "2.28 (> 1.50)"
+    assert f"{replace(loose, interval_unbounded=('low',)):S}" == "2.28 (< 4.50)"
+    assert "4.5" not in f"{replace(loose, interval_unbounded=('low', 'high')):S}"
     assert f"{replace(it, interval=None):S}" == "2.277"
     assert f"{replace(it, interval=None, value=2.277e-9):L}" == r"2.277 \times 10^{-9}"
 

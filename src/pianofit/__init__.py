@@ -11,30 +11,28 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    # Recordings, and their analysis without a hammer model.
-    "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
-    # Setup and fit.
-    "Setup", "RecordingInfo", "fit", "Result", "Quantity", "Quantities", "Covariance",
-    "compare", "Comparison", "ComparedQuantity",
-    # Prediction of recordings that were not fitted.
-    "Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate",
-    # Model: from parameters to motion and sound.
-    "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
-    "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav",
-    # Parts of the model for JAX programs: modes, excitation, output.
-    "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
-    # Instruments of 88 keys from fits, songs, and exports.
-    "Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument",
-    "write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary",
-    "export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_page",
-    # Libraries, and blind listening tests.
-    "run_batch", "ListeningSummary", "write_listening_test", "count_answers",
-    # Errors.
-    "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
-    "WrongNoteError",
-    "__version__",
-]  # fmt: skip
+__all__ = ["__version__"]
+# Recordings, and their analysis without a hammer model.
+__all__ += ["Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse"]
+# Setup and fit.
+__all__ += ["Setup", "RecordingInfo", "fit", "Result", "Quantity", "Quantities"]
+__all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
+# Prediction of recordings that were not fitted.
+__all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
+# Model: from parameters to motion and sound.
+__all__ += ["String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation"]
+__all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav"]
+# Parts of the model for JAX programs: modes, excitation, output.
+__all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
+# Instruments of 88 keys from fits, songs, and exports.
+__all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument"]
+__all__ += ["write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary"]
+__all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_page"]
+# Libraries, and blind listening tests.
+__all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
+# Errors.
+__all__ += ["PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError"]
+__all__ += ["OutputError", "WrongNoteError"]
 
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
@@ -87,7 +85,13 @@ _MODULES = {
     "export": ("ExportOptions", "ExportSummary", "export_sampler"),
     "export.faust": ("FaustSummary", "write_faust"),
     "instrument": (
-        "Instrument", "Key", "VelocityCurve", "build_instrument", "find_fits", "load_instrument", "load_keys",
+        "Instrument",
+        "Key",
+        "VelocityCurve",
+        "build_instrument",
+        "find_fits",
+        "load_instrument",
+        "load_keys",
         "write_instrument",
     ),
     "listening.result": ("count_answers",),
@@ -102,7 +106,16 @@ _MODULES = {
     "result.prediction": ("Prediction", "predict_recording"),
     "felt": ("FeltLaw", "RelaxingHammer"),
     "model": (
-        "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",
+        "Modes",
+        "Note",
+        "Simulation",
+        "levels",
+        "mode_table",
+        "pluck",
+        "simulate",
+        "spectrum",
+        "strike",
+        "waveform",
     ),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "literature": ("Preset", "preset", "typical"),
@@ -112,7 +125,7 @@ _MODULES = {
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
     "setup": ("RecordingInfo", "Setup"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
-}  # fmt: skip
+}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 

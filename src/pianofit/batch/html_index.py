@@ -6,21 +6,23 @@ batch runs, and at its end. The page plays a recording next to its fit if the fi
 
 from __future__ import annotations
 
-import json
+import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
 from ..analysis.note_names import note_to_midi
-from ..errors import AnalysisError, PianofitError
-from ..io.files import FIT_SCHEMA, printable, reference_row
+from ..errors import AnalysisError, FitError, PianofitError
+from ..io.files import printable
 from ..io.number_format import with_interval
 from ..io.table_output import write_csv
 from ..recording.recording import load_recording
 from ..report import html
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.text import SYMBOLS
+from ..schema.fit import Fit, read_fit
+from ..schema.modal_response import RENDER_MODELS
 from .records import Entry, Store, summary
 from .traffic_lights import LIGHTS, MATCH_LIMITS, RING_LIMITS, TUNING_LIMITS, lights
 
@@ -91,29 +93,31 @@ class Index:
         )
         self._stale, self._written = False, time.monotonic()
 
-    def _fit(self, entry: Entry) -> dict[str, Any]:
-        """Content of the fit.json of a key; empty if the file was changed or has another schema."""
-        fit = json.loads(self.store.verified_content(entry, "fit.json") or b"{}")
-        return fit if fit.get("schema") == FIT_SCHEMA else {}
+    def _fit(self, entry: Entry) -> Fit | None:
+        """The fit of a key; None if its file was changed or has another schema."""
+        with contextlib.suppress(FitError):
+            if self.store.verified_content(entry, "fit.json") is not None:
+                return read_fit(self.store.keys / entry.key / "fit.json")
+        return None
 
-    def _row(self, entry: Entry, fit: dict[str, Any], seconds: float) -> dict[str, Any]:
+    def _row(self, entry: Entry, fit: Fit | None, seconds: float) -> dict[str, Any]:
         """Row of a key in the page."""
-        folder, invariants = self.store.keys / entry.key, fit.get("invariants", {})
-        cells = [invariants.get(name, {}) for name in INVARIANTS]
-        statuses = {name: parameter.get("status") for name, parameter in fit.get("parameters", {}).items()}
+        folder = self.store.keys / entry.key
+        invariants, parameters = ({}, {}) if fit is None else (fit.invariants, fit.parameters)
+        cells = [(q.value, q.interval) if (q := invariants.get(name)) else (None, None) for name in INVARIANTS]
         files = (name for name in ("report.html", "fit.json") if (folder / name).is_file())
         return {
             "key": entry.key,
             "recordings": len(entry.recordings),
-            "messages": len(fit.get("messages", ())),
+            "warnings": 0 if fit is None else len(fit.warnings),
             "link": next((f"keys/{quote(entry.key)}/{name}" for name in files), ""),
             "lights": lights(entry, fit),
-            "measured": [(c.get("value"), *with_interval(c.get("value"), c.get("interval"))) for c in cells],
-            "not_identifiable": [SYMBOLS.get(n, n) for n, status in statuses.items() if status == "not-identifiable"],
+            "measured": [(value, *with_interval(value, interval)) for value, interval in cells],
+            "not_identifiable": [SYMBOLS.get(n, n) for n, q in parameters.items() if q.status == "not-identifiable"],
             "clips": self._sounds(entry, fit, seconds),
         }
 
-    def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
+    def _sounds(self, entry: Entry, fit: Fit | None, seconds: float) -> list[Clip]:
         """The reference recording and its fit, cached until the key is fitted again."""
         version = (entry.hash, seconds)
         if self._clips.get(entry.key, (None,))[0] != version:
@@ -130,27 +134,28 @@ def _order(entry: Entry) -> tuple[str, int]:
     return entry.key.removesuffix(entry.note.replace("#", "s")), midi
 
 
-def _recording_and_fit(store: Store, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
+def _recording_and_fit(store: Store, entry: Entry, fit: Fit | None, seconds: float) -> list[Clip]:
     """Excerpts of recording and fit, equally loud. Empty if one of the files is missing or was changed."""
-    _, row = reference_row(fit.get("recordings"))
+    if fit is None:
+        return []
     try:
-        recording = load_recording(row.get("file", ""), channel=entry.settings.channel)
+        recording = load_recording(fit.reference.file, channel=entry.settings.channel)
         fitted = load_recording(store.keys / entry.key / "fitted.wav")
     except PianofitError:
         return []
-    if recording.sha256 != row["sha256"] or fitted.rate != recording.rate:
+    if recording.sha256 != fit.reference.sha256 or fitted.rate != recording.rate:
         return []
     sounds, rate = {"original": recording.samples, "fitted": fitted.samples}, recording.rate
     return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
 
 
-def _table_rows(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _table_rows(entries: Sequence[Entry], fits: Mapping[str, Fit | None]) -> Iterator[dict[str, Any]]:
     """One row of the table for every key, by column. Every number has its 95 % interval and is in SI units."""
-    names = dict.fromkeys(name for fit in fits.values() for name in fit.get("parameters", {}))
+    names = dict.fromkeys(name for fit in fits.values() if fit is not None for name in fit.parameters)
     for entry in entries:
-        fit = fits.get(entry.key, {})
-        ringing = fit.get("ringing") or {}
-        values = fit.get("invariants", {}) | fit.get("parameters", {})
+        fit = fits.get(entry.key)
+        response = None if fit is None else fit.modal_response
+        values = {} if fit is None else {**fit.invariants, **fit.parameters}
         cells = {
             "key": entry.key,
             "note": entry.note,
@@ -158,14 +163,14 @@ def _table_rows(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> It
             "reason": printable(entry.reason),
             "recordings": len(entry.recordings),
             "recordings left out": len(entry.left_out),
-            "converged": fit.get("converged", ""),
-            "levels dB": fit.get("levels", {}).get("fitted_db"),
-            "layers left out dB": (ringing.get("left_out_db") or {}).get(ringing.get("by")),
-            "rings by": ringing.get("by", "law") if fit else "",
+            "converged": "" if fit is None else fit.converged,
+            "levels dB": None if fit is None else fit.levels.fitted_db,
+            "layers left out dB": None if response is None else response.prediction_error_db,
+            "render model": "" if fit is None else RENDER_MODELS[0] if response is None else response.render_model,
             "seconds": entry.seconds or None,
         }
         for name in (*INVARIANTS, *names):
-            cell = values.get(name, {})
-            low, high = cell.get("interval") or (None, None)
-            cells |= {name: cell.get("value"), f"{name} low": low, f"{name} high": high}
-        yield cells | {f"{name} status": values.get(name, {}).get("status", "") for name in names}
+            quantity = values.get(name)
+            low, high = (quantity and quantity.interval) or (None, None)
+            cells |= {name: quantity and quantity.value, f"{name} low": low, f"{name} high": high}
+        yield cells | {f"{name} status": values[name].status if name in values else "" for name in names}

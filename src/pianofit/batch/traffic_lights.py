@@ -7,12 +7,12 @@ are not used in any computation.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..analysis.note_names import cents_above, note_to_hz
 from ..errors import AnalysisError
-from ..io.number_format import is_number
 from ..report.text import SYMBOLS
+from ..schema.fit import Fit
 from .records import Entry
 
 __all__ = ["LIGHTS", "MATCH_LIMITS", "RING_LIMITS", "TUNING_LIMITS", "Light", "lights"]
@@ -38,8 +38,8 @@ class Light(NamedTuple):
     value: float | None  # for sorting
 
 
-def lights(entry: Entry, fit: dict[str, Any]) -> list[Light]:
-    """Lights of a finished key, in the order of `LIGHTS`."""
+def lights(entry: Entry, fit: Fit | None) -> list[Light]:
+    """Lights of a finished key, in the order of `LIGHTS`; `fit` is None if its file was changed."""
     return [_match(fit), _tuning(entry.note, fit), _ring(fit), _warnings(entry, fit)]
 
 
@@ -51,37 +51,34 @@ def _graded(value: float, decimals: int, limits: tuple[float, float], sign: str 
     return Light(tone, tone, text, value)
 
 
-def _match(fit: dict[str, Any]) -> Light:
-    value = fit.get("levels", {}).get("fitted_db")
-    return _graded(value, 2, MATCH_LIMITS) if is_number(value) else Light("none", "no levels", "–", None)
+def _match(fit: Fit | None) -> Light:
+    return Light("none", "no levels", "–", None) if fit is None else _graded(fit.levels.fitted_db, 2, MATCH_LIMITS)
 
 
-def _tuning(note: str, fit: dict[str, Any]) -> Light:
+def _tuning(note: str, fit: Fit | None) -> Light:
     """Light for the first partial against the note name."""
-    pitch = fit.get("derived", {}).get("f1")
     try:
         nominal = note_to_hz(note)
     except AnalysisError:  # a damaged record
         nominal = math.nan
-    if not (is_number(pitch) and pitch > 0 and nominal > 0):
+    if fit is None or not (fit.derived.f1 > 0 and nominal > 0):
         return Light("none", "no pitch", "–", None)
     return _graded(cents_above(pitch, nominal), 0, TUNING_LIMITS, "+")
 
 
-def _ring(fit: dict[str, Any]) -> Light:
-    ringing = fit.get("ringing") or {}
-    value: Any = (ringing.get("left_out_db") or {}).get(ringing.get("by"))
-    return _graded(value, 1, RING_LIMITS) if is_number(value) else Light("none", "untested", "–", None)
+def _ring(fit: Fit | None) -> Light:
+    error = None if fit is None or fit.modal_response is None else fit.modal_response.prediction_error_db
+    return Light("none", "untested", "–", None) if error is None else _graded(error, 1, RING_LIMITS)
 
 
-def _warnings(entry: Entry, fit: dict[str, Any]) -> Light:
+def _warnings(entry: Entry, fit: Fit | None) -> Light:
     """Light for parameters at a bound, recordings left out, and convergence."""
-    parameters = fit.get("parameters", {}).items()
-    bound = [str(SYMBOLS.get(name, name)) for name, p in parameters if p.get("status") == "at-bound"]
+    parameters = {} if fit is None else fit.parameters
+    bound = [str(SYMBOLS.get(name, name)) for name, quantity in parameters.items() if quantity.status == "at-bound"]
     left_out = len(entry.left_out)
     warnings = [f"at a bound: {', '.join(bound)}"] * bool(bound)
     warnings += [f"{left_out} recording{'s' * (left_out != 1)} left out"] * bool(left_out)
     count = len(bound) + left_out
-    if not fit.get("converged", True):
+    if fit is not None and not fit.converged:
         return Light("poor", "; ".join(["not converged", *warnings]), str(count + 1), NOT_CONVERGED_OFFSET + count)
     return Light("fair" if count else "good", "; ".join(warnings), str(count), count)

@@ -54,9 +54,13 @@ def point_result(
     comparison, values = RecordingComparison.of(recording, analysis, start.scale), start.values | start.initial
     begins = None if start.scale is None else recording.onset - round(delay * recording.rate)
     first = Note(
-        String(*(values[n] for n in String._fields)), Hammer(*(values[n] for n in Hammer._fields)), start.geometry,
-        start.quantity, 1.0, None,
-    )  # fmt: skip
+        String(*(values[n] for n in String._fields)),
+        Hammer(*(values[n] for n in Hammer._fields)),
+        start.geometry,
+        start.quantity,
+        1.0,
+        None,
+    )
     before, after = (
         comparison.render(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
         for note in (first, first._replace(string=string, hammer=hammer))

@@ -19,34 +19,25 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FitError, OutputError, ParameterError, PianofitError, check_range, check_type
-from .number_format import LARGEST, is_number
+from ..errors import OutputError, ParameterError, PianofitError, check_range, check_type
 
 __all__ = [
     "PEAK_LIMIT",
-    "FIT_SCHEMA",
-    "MAX_FIT_BYTES",
     "MAX_CHANNELS",
     "DISK_FULL",
-    "array_of",
     "check_sound_target",
     "check_target",
     "encode_pcm",
     "encode_wav",
-    "require_finite",
     "cleanup_on_interrupt",
     "json_text",
     "limit_peak",
-    "load_json",
     "printable",
     "output_folder",
     "read_file",
     "read_text",
-    "reference_row",
     "replace_file",
-    "is_increasing",
     "short_repr",
-    "require_table",
     "write_error",
     "replace_strings",
     "write_file",
@@ -58,10 +49,6 @@ HIGHEST_RATE = 10_000_000  # Hz
 MAX_CHANNELS = 8
 # Peak of sounds for listening, full scale = 1. -1 dB leaves headroom for players that resample.
 PEAK_LIMIT = 10 ** (-1 / 20)
-# Schema of fit.json.
-FIT_SCHEMA = 4
-# Largest fit.json, bytes.
-MAX_FIT_BYTES = 2**24
 # Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -109,53 +96,6 @@ def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
         wrong = f"byte 0x{data[problem.start]:02x} on line {line} is not UTF-8"
         wrong = "is UTF-16 text" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else wrong
         raise error(f"{printable(path)}: {wrong}; save it as UTF-8") from None
-
-
-def load_json(
-    path: str | os.PathLike[str], most: int, kind: str, hint: str, error: type[PianofitError] = FitError
-) -> Any:
-    """Read JSON of at most `most` bytes. An `error` names the file, `kind` and the `hint`."""
-    try:
-        return json.loads(read_file(path, most, error).decode("utf-8"))
-    except (ValueError, RecursionError) as problem:
-        reason = printable(str(problem).splitlines()[0])
-        raise error(f"{printable(path)}: not {kind} ({reason}); {hint}") from None
-
-
-def require_table(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
-    """Return the table `key` of a document, or raise a `FitError`."""
-    table = document.get(key)
-    if not isinstance(table, dict):
-        raise FitError(f"{where}: {key} is missing or not a table; {hint}")
-    return table
-
-
-def reference_row(rows: Any) -> tuple[int, dict[str, Any]]:
-    """Return index and row of the reference recording: the marked row, or the first; 0 and {} if none exist."""
-    tables = [(i, row) for i, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
-    return next((entry for entry in tables if entry[1].get("first") is True), tables[0] if tables else (0, {}))
-
-
-def require_finite(value: Any, where: str, hint: str) -> float:
-    """Return a finite number, or raise a `FitError`."""
-    if not is_number(value):
-        raise FitError(f"{where} is {short_repr(value)}, not a finite number; {hint}")
-    return float(value)
-
-
-def array_of(value: Any, *shape: int | None) -> np.ndarray:
-    """Convert lists of finite numbers to an array of `shape`; None is any length. Invalid lists give an empty array."""
-    with contextlib.suppress(ValueError):  # rows of different lengths
-        array = np.array(value)
-        valid = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-        if valid and array.dtype.kind in "iuf" and (np.abs(array) <= LARGEST).all():
-            return array.astype(float)
-    return np.empty((0,) * len(shape))
-
-
-def is_increasing(values: np.ndarray) -> bool:
-    """Return True for at least one value, all positive and increasing."""
-    return bool((np.diff(values, prepend=0.0) > 0).all()) and len(values) > 0
 
 
 def replace_strings(value: Any, names: Mapping[str, str]) -> Any:

@@ -33,9 +33,16 @@ _HINT = "delete it to read the fit without its draws, or fit again"
 HEADER = re.compile(rb"\{'descr': '(<f8|<i8)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
 # Exceptions that the standard library's zip reader raises for a damaged archive.
 BROKEN = (
-    EOFError, KeyError, NotImplementedError, OSError, OverflowError, RuntimeError, ValueError, struct.error,
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+    struct.error,
     zipfile.BadZipFile,
-)  # fmt: skip
+)
 MAGIC = b"\x93NUMPY\x01\x00"
 
 

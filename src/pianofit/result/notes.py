@@ -71,9 +71,11 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     residual, error, weight = (x[np.ix_(recordings, detected)] for x in residuals)
     velocities, db = stroke_deviations(residual / DB, error / DB, weight, velocity)
     return OutputPath(
-        frequency, latent.path[group][detected], _decays(problem, minima, which, number),
+        frequency,
+        latent.path[group][detected],
+        _decays(problem, minima, which, number),
         VelocityDiscrepancy(velocities, DB * db) if len(velocities) > 1 else None,
-    )  # fmt: skip
+    )
 
 
 def _residuals(

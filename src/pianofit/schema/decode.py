@@ -28,9 +28,14 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 
 # Words of a user for the names of types in the messages of msgspec.
 WORDS = {
-    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
-    "object": "a table", "null": "null",
-}  # fmt: skip
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "null",
+}
 EXPECTED = re.compile(r"Expected `([^`]+)`(?:, got `[^`]+`| ([<>]=? \S+)| (of .+))?")
 MISSING = re.compile(r"Object missing required field `(.+)`")
 
@@ -76,12 +81,16 @@ def convert(data: Any, kind: type[T], where: str, hint: str, error: type[Pianofi
 
 def builtins_of(record: Any) -> Any:
     """Return a record as dicts, lists, numbers and texts, as a file has it."""
-    return json.loads(encode_json(record))
+    return json.loads(_json(record))
 
 
 def encode_json(record: Any) -> bytes:
     """Return a record as indented JSON without NaN."""
-    return json_text(msgspec.to_builtins(record, enc_hook=_encode)).encode()
+    return _json(record).encode()
+
+
+def _json(record: Any) -> str:
+    return json_text(msgspec.to_builtins(record, enc_hook=_encode))
 
 
 def _encode(value: Any) -> Any:

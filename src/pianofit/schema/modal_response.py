@@ -220,6 +220,11 @@ class FittedModalResponse:
     layers: tuple[LayerEntry, ...] = ()  # soft to loud
     response: ModalResponseEntry | None = None
 
+    @property
+    def prediction_error_db(self) -> float | None:
+        """Mean error of predicted layers by the render model that is used, dB; None if it was not tested."""
+        return None if self.leave_one_out_db is None else self.leave_one_out_db.get(self.render_model)
+
 
 def encode_knock(response: ModalResponse, bits: int = 24) -> bytes | None:
     """Return the knock, normalised to its largest sample, as FLAC; None if there is none."""
