@@ -85,9 +85,7 @@ def test_the_order_of_files_changes_nothing():
     # The order of strokes changes the random samples of the search, which stops when F gains less than a thousandth.
     assert velocities[1] == pytest.approx(velocities[0][::-1], rel=2e-3)
     for name, p in first.parameters.items():
-        assert other.parameters[name].value == pytest.approx(p.value, rel=2e-2 if name == "K_H" else 2e-3), (
-            name
-        )
+        assert other.parameters[name].value == pytest.approx(p.value, rel=2e-2 if name == "K_H" else 2e-3), name
     assert other.diagnostics.negative_log_posterior == pytest.approx(first.diagnostics.negative_log_posterior, abs=0.05)
 
 

@@ -78,7 +78,8 @@ def test_there_is_an_uncertainty_where_the_interval_has_one():
         assert (wide.sd is not None) == symmetric
         if symmetric:
             assert wide.sd == pytest.approx(3 * s, rel=0.02)
-    for none in (replace(it, interval=None), replace(it, interval_unbounded=("low",)), replace(it, interval=(2.277, 2.277))):
+    point = replace(it, interval=(2.277, 2.277))
+    for none in (replace(it, interval=None), replace(it, interval_unbounded=("low",)), point):
         assert none.sd is None
 
 

@@ -63,7 +63,7 @@ def _tuning(note: str, fit: Fit | None) -> Light:
         nominal = math.nan
     if fit is None or not (fit.derived.f1 > 0 and nominal > 0):
         return Light("none", "no pitch", "–", None)
-    return _graded(cents_above(pitch, nominal), 0, TUNING_LIMITS, "+")
+    return _graded(cents_above(fit.derived.f1, nominal), 0, TUNING_LIMITS, "+")
 
 
 def _ring(fit: Fit | None) -> Light:
