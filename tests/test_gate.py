@@ -96,5 +96,5 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
     analysis = analyse(recording, note=note)
     notes = list(zip(result.weights, (minimum[0] for minimum in result.minima_notes), strict=True))
     assert predict_recording(notes, analysis).error_db < worst_db
-    whole = predict_recording(result, analysis)
-    assert predict_recording(result, recording).error_db == pytest.approx(whole.error_db, abs=0.02)
+    whole = result.predict(analysis)
+    assert result.predict(recording).error_db == pytest.approx(whole.error_db, abs=0.02)
