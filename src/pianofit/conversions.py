@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["BEATING_DB", "CENTS", "DB", "HALF_WIDTH_95", "HIGHEST_KEY", "LOWEST_KEY", "hertz_of", "midi_of"]
-
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.
 HALF_WIDTH_95 = 1.959964
 # Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.

@@ -20,21 +20,6 @@ import numpy as np
 
 from .analysis import law_frequency
 
-__all__ = [
-    "BANDS",
-    "ENOUGH_DAMPING",
-    "NODES",
-    "SpectralCells",
-    "band_of",
-    "band_values",
-    "band_borders",
-    "cell_grid",
-    "closed_form_gain",
-    "level_error_db",
-    "damping_for",
-    "measure",
-]
-
 BANDS = ("band1", "band2", "band3")
 # Number of frequencies in a cell.
 NODES = 48

@@ -9,8 +9,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__all__ = ["TARGETS", "call"]
-
 # The functions and classes that may be called, by module.
 TARGETS = {
     "web.widget": ("widget",),

@@ -7,19 +7,6 @@ The command line prints the message without a traceback and exits with 1.
 from numbers import Real
 from typing import Any
 
-__all__ = [
-    "AnalysisError",
-    "FitError",
-    "OutputError",
-    "ParameterError",
-    "PianofitError",
-    "RecordingError",
-    "SetupError",
-    "WrongNoteError",
-    "check_range",
-    "check_type",
-]
-
 
 class PianofitError(Exception):
     """Base class of all errors that the input causes."""

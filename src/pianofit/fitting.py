@@ -19,8 +19,6 @@ from .threads import check_process, cores
 if TYPE_CHECKING:
     from .result import Result
 
-__all__ = ["analyse_all", "check_arguments", "fit", "given_setup", "read_and_analyse"]
-
 
 def fit(
     *recordings: Source,

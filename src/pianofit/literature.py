@@ -24,8 +24,6 @@ from .conversions import hertz_of
 from .errors import AnalysisError, ParameterError, check_range
 from .parameters import Geometry, Hammer, String
 
-__all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "preset", "typical"]
-
 PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
 CHAIGNE = "Chaigne and Askenfelt, J. Acoust. Soc. Am. 95, 1112 and 1631 (1994)"
 BENSA_2003 = "Bensa, Bilbao, Kronland-Martinet and Smith, J. Acoust. Soc. Am. 114, 1095 (2003)"

@@ -15,21 +15,6 @@ from typing import Any, NamedTuple
 from .errors import ParameterError, check_range
 from .io.number_format import summary
 
-__all__ = [
-    "FIT_NAMES",
-    "HAMMER_NAMES",
-    "PARAMETERS",
-    "STRING_NAMES",
-    "Geometry",
-    "Hammer",
-    "Number",
-    "Parameter",
-    "String",
-    "check",
-    "check_seed",
-    "check_velocity",
-]
-
 # Width of a box in standard deviations of its prior, 2 · 1.96, unless a spread is given: the box is the 95 % interval.
 BOX_WIDTH = 3.92
 # Fields hold numbers, or arrays and tracers inside a computation.

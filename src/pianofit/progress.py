@@ -6,8 +6,6 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 
-__all__ = ["Progress", "progress_bar"]
-
 # Called with the name of a stage and the completed fraction.
 Progress = Callable[[str, float], None]
 

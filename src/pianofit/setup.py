@@ -22,8 +22,6 @@ from .io.files import path_name, printable, read_text
 from .io.number_format import filled
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "to_setup"]
-
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 STRING_PICKUPS = ("velocity", "displacement")  # these need a position
 MAX_BYTES = 2**20
@@ -40,11 +38,15 @@ RANGES: dict[str, tuple[float, float, str]] = {
 FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
 # Table and key of an attribute in a file. The other attributes have a table each.
 SETUP_KEYS = {
-    "length": ("string", "length"), "mass": ("string", "mass"),
-    "strike_position": ("strike", "position"), "strike_width": ("strike", "width"),
-    "pickup_quantity": ("pickup", "quantity"), "pickup_position": ("pickup", "position"),
-    "pickup_scale": ("pickup", "scale"), "felt": ("felt", "law"),
-}  # fmt: skip
+    "length": ("string", "length"),
+    "mass": ("string", "mass"),
+    "strike_position": ("strike", "position"),
+    "strike_width": ("strike", "width"),
+    "pickup_quantity": ("pickup", "quantity"),
+    "pickup_position": ("pickup", "position"),
+    "pickup_scale": ("pickup", "scale"),
+    "felt": ("felt", "law"),
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -315,11 +317,15 @@ def _strike_contradictions(setup: Setup) -> Iterator[str]:
     position, length = setup.strike_position, setup.length
     half = (setup.strike_width or 0.0) / 2
     if position is not None and position < half:
-        yield (f"[strike] width = {2 * half:g} m extends past the agraffe at position = {position:g} m; reduce it or "
-               "correct the position")  # fmt: skip
+        yield (
+            f"[strike] width = {2 * half:g} m extends past the agraffe at position = {position:g} m; reduce it or "
+            "correct the position"
+        )
     if length is not None and (position or half) + half > length:
-        yield (f"[strike] extends to {(position or half) + half:g} m from the agraffe, past the string length = "
-               f"{length:g} m; correct position, width or [string] length")  # fmt: skip
+        yield (
+            f"[strike] extends to {(position or half) + half:g} m from the agraffe, past the string length = "
+            f"{length:g} m; correct position, width or [string] length"
+        )
 
 
 def _pickup_contradictions(setup: Setup) -> Iterator[str]:
@@ -328,14 +334,20 @@ def _pickup_contradictions(setup: Setup) -> Iterator[str]:
     if quantity in STRING_PICKUPS and position is None:
         yield f'[pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it'
     if quantity not in STRING_PICKUPS and position is not None:
-        yield (f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use velocity or '
-               "displacement, or remove the position")  # fmt: skip
+        yield (
+            f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use velocity or '
+            "displacement, or remove the position"
+        )
     if quantity == "pressure" and scale is not None:
-        yield (f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", because the output path is '
-               "unknown; use velocity, displacement or bridge-force, or remove the scale")  # fmt: skip
+        yield (
+            f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", because the output path is '
+            "unknown; use velocity, displacement or bridge-force, or remove the scale"
+        )
     if position is not None and setup.length is not None and position >= setup.length:
-        yield (f"[pickup] position = {position:g} m is not on the string of length = {setup.length:g} m; correct one "
-               "of them")  # fmt: skip
+        yield (
+            f"[pickup] position = {position:g} m is not on the string of length = {setup.length:g} m; correct one "
+            "of them"
+        )
 
 
 def _value_contradictions(setup: Setup) -> Iterator[str]:
@@ -381,14 +393,19 @@ def _stroke_contradictions(setup: Setup) -> Iterator[str]:
         if other != number:
             name = recording.group
             group = "neither has a group" if name is None else f'both have group = "{printable(name)}"'
-            yield (f"{entry} is also the stroke of [[recording]] {other}, and {group}; a microphone records a stroke "
-                   "once: give each its own group, or another stroke")  # fmt: skip
+            yield (
+                f"{entry} is also the stroke of [[recording]] {other}, and {group}; a microphone records a stroke "
+                "once: give each its own group, or another stroke"
+            )
         velocity = recording.v_H0
         if velocity is not None and (first := velocities.setdefault(recording.stroke, velocity)) != velocity:
             yield f"{entry} has v_H0 = {velocity:g} and {first:g}; one stroke has one velocity: correct one of them"
 
 
 CONTRADICTIONS = (
-    _strike_contradictions, _pickup_contradictions, _value_contradictions, _velocity_contradictions,
+    _strike_contradictions,
+    _pickup_contradictions,
+    _value_contradictions,
+    _velocity_contradictions,
     _stroke_contradictions,
-)  # fmt: skip
+)

@@ -24,8 +24,6 @@ from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
 from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, RecordingInfo, Setup
 
-__all__ = ["SyntheticRecording", "demo_recording", "setup_of", "setup_text", "synthetic_recording"]
-
 # s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
 # s of the note whose rms is the reference of the noise level.

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 
 from .errors import FitError
 
-__all__ = ["check_process", "cores", "one_blas_thread"]
-
 _forked = False  # True in a process that was forked after JAX had started
 
 

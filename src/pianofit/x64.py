@@ -35,8 +35,6 @@ from .io.files import printable
 from .parameters import Geometry, String
 from .threads import check_process
 
-__all__ = ["AnyArray", "derivative", "float64", "is_numeric", "x64_scope"]
-
 # Arrays of JAX, traced ones included, or of NumPy.
 AnyArray = Array | np.ndarray
 

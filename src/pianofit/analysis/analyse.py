@@ -22,8 +22,6 @@ from .pitch import find_pitch
 from .spectrum import noise_between, spectrum
 from .warnings import analysis_warnings, detect_second_stroke
 
-__all__ = ["analyse", "check_analyses"]
-
 _TOP = 12000.0  # Hz, highest frequency searched for partials
 
 

@@ -15,8 +15,6 @@ from ..io.table_output import data_frame, html_table
 from .glide import PitchGlide
 from .inharmonicity import law_frequency
 
-__all__ = ["COLUMNS", "Analysis", "Column", "Partials", "analysis_to_dict", "partial_rows"]
-
 # Columns of `Partials` with one number for each partial, and their headings in a notebook.
 PER_PARTIAL = {
     "number": "k",

@@ -18,8 +18,6 @@ from ..dsp.damped_sums import powers
 from ..dsp.exponential_fit import Exponentials, autocorrelation_poles, fit_exponentials
 from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS, energy_level, mean_time
 
-__all__ = ["ExponentialFit", "FittedBands", "absent_level_bounds", "fit_bands", "has_drifted", "measure_levels"]
-
 LEVEL_FRAMES_SECONDS = 2.0  # s of frames that determine a level: a longer span depends less on the phase of a beat
 
 

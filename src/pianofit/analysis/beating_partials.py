@@ -16,8 +16,6 @@ from ..dsp.bands import Bands
 from ..dsp.common_poles import shift_poles
 from .baseband_fit import FittedBands
 
-__all__ = ["Components", "resolve_components"]
-
 _SPAN = 1.0  # s of sound that the components must describe
 _FASTEST = 80.0  # 1/s, upper bound of decay rates
 

@@ -18,8 +18,6 @@ from ..dsp.bands import Bands
 from ..dsp.exponential_fit import Exponentials, fit_exponentials
 from .baseband_fit import FittedBands, fit_bands, has_drifted
 
-__all__ = ["LEAST_GLIDE", "PitchGlide", "glide_detected", "glide_windows", "remove_glide"]
-
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # index of the window that defines f0
 # A glide is detected if the pitch changes by more than both.

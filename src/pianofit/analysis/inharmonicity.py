@@ -16,8 +16,6 @@ import numpy as np
 
 from ..conversions import CENTS
 
-__all__ = ["B_RANGE", "DecayLaw", "FrequencyLaw", "decay_law", "frequency_law", "law_frequency", "local_deviation"]
-
 B_RANGE = (1e-6, 2e-2)  # searched range of B; piano strings have 5e-5 to 2e-2
 # From about this partial on, real strings deviate from the law by cents, growing as the cube of the number.
 LAST_TRUSTED_PARTIAL = 10.0

@@ -9,8 +9,6 @@ from numbers import Integral
 from ..conversions import hertz_of, midi_of
 from ..errors import AnalysisError, check_type
 
-__all__ = ["SAME_KEY_CENTS", "cents_above", "hz_to_note", "midi_to_note", "nearest_note", "note_to_hz", "note_to_midi"]
-
 # Largest difference in pitch between recordings of one key, cents; the next key is 100 away.
 SAME_KEY_CENTS = 40.0
 HIGHEST_MIDI = 127  # highest note number of the MIDI standard

@@ -18,8 +18,6 @@ from .inharmonicity import B_RANGE, FrequencyLaw, frequency_law, law_frequency, 
 from .pitch import CLEAR, typical_B
 from .spectrum import Spectrum
 
-__all__ = ["number_partials"]
-
 _STAGES = (16, 20, 27, 36, 48, 64, 82, 100)  # numbers up to which partials are collected
 _MIN_HEIGHT = 3.0  # dB above the floor, of a peak that is not noise
 _TREBLE_PARTIALS = 12  # with more in range, most partials lie apart from the few distortion tones and outweigh them

@@ -34,8 +34,6 @@ from .baseband_fit import ExponentialFit, FittedBands, has_drifted, measure_leve
 from .beating_partials import Components, resolve_components
 from .inharmonicity import DecayLaw, decay_law
 
-__all__ = ["LEAST_DECAY", "LEAST_SNR", "measure_partials"]
-
 LEAST_SNR = 14.0  # dB; a partial below it is rejected
 LEAST_DECAY = 1e-3  # 1/s, lower bound of reported decay rates
 

@@ -15,8 +15,6 @@ from .inharmonicity import B_RANGE, law_frequency
 from .note_names import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
-__all__ = ["CLEAR", "check_pitch", "find_pitch", "typical_B"]
-
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = np.arange(1, 17)  # numbers of the partials of a comb
 _FULL_EVIDENCE = 30.0  # dB above the floor, above which the evidence of a peak does not grow

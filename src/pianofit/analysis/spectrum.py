@@ -8,8 +8,6 @@ import numpy as np
 
 from ..dsp.bands import fast_length
 
-__all__ = ["Spectrum", "noise_between", "spectrum"]
-
 _BETA = 10.0  # side lobes 75 dB down
 
 

@@ -18,8 +18,6 @@ from .inharmonicity import B_RANGE, DecayLaw, FrequencyLaw
 from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .partials import LEAST_DECAY
 
-__all__ = ["analysis_warnings", "beating_warning", "count_beating", "detect_second_stroke"]
-
 # Smallest number of partials that must rise: fewer may beat together.
 FEWEST = 4
 # dB relative to the initial level; partials that rise to a lower level were not struck. A squeak of a guitar string

@@ -21,8 +21,6 @@ from .fit_job import JobResult, Work, fit_job
 from .job import Job
 from .process_pool import one_thread
 
-__all__ = ["DaskPool", "check_cluster"]
-
 TIMEOUT_S = 10.0  # s, for the scheduler to answer
 JOBS_PER_THREAD = 2  # jobs sent for every thread
 TOPIC = "pianofit-batch"  # of the events by which workers report their stages

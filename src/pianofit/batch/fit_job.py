@@ -25,8 +25,6 @@ from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, load_recording
 from .job import Job, UnusedFile, versions
 
-__all__ = ["JobResult", "ReportStage", "Work", "fit_job"]
-
 # cents: a note name further than this from the pitch is wrong. Old pianos and stretched trebles stay below.
 PITCH_TOLERANCE = 60.0
 MIN_PARTIALS = 3  # partials that a recording needs if the key has others, as in a fit

@@ -26,8 +26,6 @@ from ..schema.modal_response import RENDER_MODELS
 from .records import Entry, Store, summary
 from .traffic_lights import LIGHTS, MATCH_LIMITS, RING_LIMITS, TUNING_LIMITS, lights
 
-__all__ = ["Index"]
-
 WRITE_INTERVAL_S = 60.0  # s, between two writes while a batch is running
 # Columns of the page, and the first columns of the table. By name in fit.json: description and unit.
 INVARIANTS = {

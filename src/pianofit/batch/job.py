@@ -26,8 +26,6 @@ from ..recording.recording import MAX_BYTES, is_sound, layout_of, readable_forma
 from .library_files import files_in, first_of
 from .manifest import Key, Sample
 
-__all__ = ["Settings", "Source", "Job", "UnusedFile", "make_job", "versions", "layout_remarks", "unused_files"]
-
 
 @dataclass(frozen=True)
 class Settings:

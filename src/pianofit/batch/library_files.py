@@ -17,8 +17,6 @@ from typing import BinaryIO, NamedTuple
 from ..errors import SetupError
 from ..io.files import printable
 
-__all__ = ["MAX_RECORDINGS", "Row", "files_in", "find_file", "first_of", "root_note"]
-
 MAX_RECORDINGS = 64  # recordings of one key: the memory of a joint fit grows with them
 MAX_LISTED = 5  # texts listed in one message
 MAX_CHUNKS = 1000  # read in one file: real files have fewer than 20

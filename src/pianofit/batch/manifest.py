@@ -28,8 +28,6 @@ from .library_files import MAX_RECORDINGS, Row, files_in, find_file, first_of
 from .name_pattern import expression_of, guess_pattern, midi_number_offset
 from .sfz import sfz_rows
 
-__all__ = ["Key", "Sample", "read_keys"]
-
 COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic")
 # Headers of a MIDI velocity, and of a measured one with its unit, such as "velocity (m/s)" or "velocity_m_s".
 _MIDI_VELOCITY = re.compile(r"(?:midi\W*_?)?velocity(?:\W*_?midi\W*)?")

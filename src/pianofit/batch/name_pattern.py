@@ -17,8 +17,6 @@ from ..analysis.pitch import check_pitch
 from ..conversions import hertz_of
 from ..errors import AnalysisError, SetupError
 
-__all__ = ["expression_of", "guess_pattern", "midi_number_offset"]
-
 FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     **dict.fromkeys(("velocity", "v_H0"), r"\d+(?:\.\d+)?"),

@@ -25,8 +25,6 @@ from typing import Any
 from .fit_job import JobResult, Work, fit_job
 from .job import Job
 
-__all__ = ["ProcessPool", "one_thread"]
-
 MAX_JOBS_PER_WORKER = 16  # jobs
 # One thread for each library that would use all cores. They read these when they are first imported.
 ONE_THREAD = dict.fromkeys(

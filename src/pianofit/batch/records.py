@@ -29,8 +29,6 @@ from ..io.files import DISK_FULL, printable, replace_file
 from ..io.number_format import counted
 from .job import Job, Settings, Source, UnusedFile
 
-__all__ = ["Entry", "Status", "Store", "status", "summary", "time_left"]
-
 RECORD = "record.json"
 
 

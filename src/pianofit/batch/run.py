@@ -25,8 +25,6 @@ from .job import Job
 from .process_pool import ProcessPool
 from .records import Entry, Status, Store, summary, time_left
 
-__all__ = ["Progress", "plan_jobs", "run_batch"]
-
 MAX_ATTEMPTS = 2  # for a job whose worker died
 PROGRESS_INTERVAL_S = 0.5  # s, between two progress reports
 

@@ -28,8 +28,6 @@ from ..recording.recording import MAX_BYTES, load_recording
 from .library_files import MAX_RECORDINGS, Row, find_file, first_of, root_note
 from .sfz_text import SfzText, regions, unrecognised_opcodes
 
-__all__ = ["sfz_rows"]
-
 DEFAULT_ROOT = 60  # MIDI number: default root note of a region in the SFZ format
 MAX_PARTIAL_HZ = 12_000.0  # Hz: highest partial used to find the pitch of a sample, as in an analysis
 PEDALS = (64, 66, 67)  # controllers: sustain, sostenuto, una corda

@@ -17,8 +17,6 @@ from ..errors import SetupError
 from ..io.files import printable, read_file
 from .library_files import find_file
 
-__all__ = ["SfzText", "regions", "unrecognised_opcodes"]
-
 MAX_BYTES = 2**24  # of one file: the largest libraries have 2 MiB
 MAX_TEXT = 2**24  # characters of the expanded text, plus one for each piece; bounds time and memory
 INCLUDE_COST = 200  # characters that one include counts as, for its time

@@ -15,8 +15,6 @@ from ..report.text import SYMBOLS
 from ..schema.fit import Fit
 from .records import Entry
 
-__all__ = ["LIGHTS", "MATCH_LIMITS", "RING_LIMITS", "TUNING_LIMITS", "Light", "lights"]
-
 # Levels of partials, rms, dB: people just notice a change of 1 dB. At 3 dB a partial has half or twice its energy.
 MATCH_LIMITS = (1.0, 3.0)
 # Deviation from equal temperament, cents: most pianos are stretched by less than 25. Above 50 another note is nearer.

@@ -25,8 +25,6 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["Annealed", "AnnealingState", "Schedule", "anneal", "annealing"]
-
 # A shorter jump is lost in the rounding of the coordinates, box widths.
 COLDEST = 1e-15
 

@@ -19,8 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-__all__ = ["DescentResult", "LeastSquares", "gradient_descent"]
-
 # Share of the predicted decrease that a step must reach. Below 1/2, so that the exact minimum of a parabola passes.
 SUFFICIENT_DECREASE = 0.3
 # Factors on the step size after a rejected and after an accepted step.

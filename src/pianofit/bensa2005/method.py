@@ -30,8 +30,6 @@ from ..setup import Setup, recording_info_for
 from .point_estimate import point_result
 from .search import ALL, make_search, split
 
-__all__ = ["METHODS", "SearchResult", "fit", "search_parameters"]
-
 METHODS = ("paper", "global")
 # Evaluations of the annealing: default,
 EVALUATIONS = 20_000

@@ -24,8 +24,6 @@ from ..schema.diagnostics import Diagnostics
 from ..schema.fit import Criterion, Fit, package_versions
 from ..schema.quantities import Covariance, Quantities, Status
 
-__all__ = ["point_result"]
-
 
 def point_result(
     recording: Recording,

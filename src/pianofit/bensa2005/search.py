@@ -34,8 +34,6 @@ from .annealing import anneal
 from .descent import DescentResult, LeastSquares, gradient_descent
 from .spectral_criterion import Goal, SearchConstants, StaticConfig, criterion_gradients, fix_string, spectral_goal
 
-__all__ = ["ALL", "Search", "make_search", "split"]
-
 ALL = (0, 1, 2)
 # Parameters that are searched on a linear scale; the others on a log scale.
 LINEAR = np.isin(FIT_NAMES, ("b1", "b2"))

@@ -35,17 +35,6 @@ from ..model.program_cache import persistent_jit
 from ..parameters import Geometry, Hammer, String
 from .descent import LeastSquares
 
-__all__ = [
-    "StaticConfig",
-    "Goal",
-    "SearchConstants",
-    "damped_spectrum",
-    "fix_string",
-    "residuals",
-    "spectral_goal",
-    "criterion_gradients",
-]
-
 # Goals are padded to a multiple of this many rows, so that notes share compiled programs. The first band has one row.
 ROWS = 16
 # Spacing of the grid on which cells are laid out, in units of σ, Hz: negligible compared with the linewidth σ/2π.

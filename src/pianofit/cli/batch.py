@@ -30,8 +30,6 @@ from .terminal import print_error, print_result
 if TYPE_CHECKING:
     from ..batch import Job, Progress, Settings, Status
 
-__all__ = ["batch", "status"]
-
 LISTED = 20  # failures in the printed summary
 NAMED = 4  # running keys on a progress line
 

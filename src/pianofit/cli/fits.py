@@ -74,9 +74,10 @@ def _table(analysis: Analysis) -> str:
         f"partials scatter by {analysis.scatter_cents:.2f} cents",
         "",
         "Brackets: 95 % interval. After ±: one standard error.",
-        " ".join(f"{f'{column.name}, {column.unit}' if column.unit else column.name:>{column.width}}"
-                 for column in COLUMNS),
-    ]  # fmt: skip
+        " ".join(
+            f"{f'{column.name}, {column.unit}' if column.unit else column.name:>{column.width}}" for column in COLUMNS
+        ),
+    ]
     for row in partial_rows(analysis):
         cells = []
         for at, column in enumerate(COLUMNS):

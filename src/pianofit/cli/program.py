@@ -36,11 +36,12 @@ WIDEST, UNBROKEN = 120, 10_000
 COLLECTED = 50_000
 
 app = typer.Typer(
-    pretty_exceptions_enable=False, rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
     epilog="pianofit COMMAND --help lists the arguments of a command, with an example.",
     help="Estimate physical parameters of struck strings from recordings, and synthesise sound from them.",
-)  # fmt: skip
+)
 
 # Base of click's usage errors; typer has a private copy of click.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]

@@ -22,8 +22,6 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bands", "fast_length", "hann_band", "hann_gain", "kaiser_bands", "kaiser_gain"]
-
 BETA = 14.0  # side lobes of the Kaiser window 105 dB down; `analysis` subtracts the remaining leakage of neighbours
 KAISER_NULL = float(np.hypot(BETA, np.pi) / np.pi)  # first zero of G, in units of 1/T
 

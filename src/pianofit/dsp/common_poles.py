@@ -17,8 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Signals", "fit_amplitudes", "poles_by_subspace", "refine_poles", "shift_poles", "standard_errors"]
-
 # Samples of a signal that the subspace and the refinement use. A few poles gain nothing from more.
 SAMPLES_USED = 240
 # Samples of a signal per column of its Hankel matrix. The error of poles is least between one third and two thirds of

@@ -11,8 +11,6 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AMPLITUDE_FLOOR", "powers", "sum_damped_modes", "z_transform_at_poles"]
-
 # Modes below this fraction of the largest initial amplitude are left out: -160 dB.
 AMPLITUDE_FLOOR = 1e-8
 # Blocks computed between two checks of which modes still sound.

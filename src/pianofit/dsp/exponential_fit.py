@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from .damped_sums import powers
 
-__all__ = ["Exponentials", "autocorrelation_poles", "fit_exponentials"]
-
 
 @dataclass(frozen=True)
 class Exponentials:

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 
-__all__ = ["LOWEST_HZ", "delayed", "forward_mean", "reduce_rate", "resample", "without_drift"]
-
 LOWEST_HZ = 20.0  # a piano has no partial below it, only offset, drift or rumble
 
 

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LEVEL_RATE", "LEVEL_SECONDS", "energy_level", "level_energy", "mean_time"]
-
 LEVEL_SECONDS = 0.35
 LEVEL_RATE = 16.0  # 1/s, decay rate of the weight on power
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from .bands import fast_length
 
-__all__ = ["audible_floor", "k_weighted_mean_square", "log_mel_distances", "mel_edges", "mel_power"]
-
 # Parts of a note, s from its onset.
 NOTE_PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
 # Length of each window, s, and its number of mel bands: from the time scale of a knock to the width of a partial.

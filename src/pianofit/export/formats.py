@@ -18,8 +18,6 @@ from ..io.files import printable
 from ..playback.voice import LAST_DAMPER
 from .layers import LOUDEST, SampledKey, Zone, format_keys, silent_keys
 
-__all__ = ["EXPORT_MARK", "SAMPLERS", "readme_text"]
-
 # Fall of an SFZ envelope during `ampeg_release`, nepers. The format does not define it; this is the value of sfizz.
 SFZ_RELEASED = 9.0
 # Fall of Decent Sampler's envelope during the release, nepers. The format does not define it; 60 dB is usual.

@@ -23,20 +23,6 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import AnalysisError, ParameterError
 
-__all__ = [
-    "LOUDEST",
-    "SOFTEST",
-    "SampledKey",
-    "Zone",
-    "crossfade_layers",
-    "fill_gaps",
-    "format_keys",
-    "key_ranges",
-    "layer_velocities",
-    "parse_keys",
-    "silent_keys",
-]
-
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
 # No sample is transposed further than this, semitones.

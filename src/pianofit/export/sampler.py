@@ -27,8 +27,6 @@ from .formats import EXPORT_MARK, SAMPLERS, readme_text
 from .layers import LOUDEST, SampledKey, key_ranges, layer_velocities, silent_keys
 from .samples import measure_layers, render_sample
 
-__all__ = ["ExportOptions", "ExportSummary", "export_sampler"]
-
 # Audio formats of samples.
 KINDS = ("flac", "wav")
 README = "README.txt"

@@ -14,8 +14,6 @@ from ..model.note import arrival
 from ..playback.voice import CHANNELS, StringVoice
 from .layers import LOUDEST, SOFTEST, Zone, crossfade_layers, layer_velocities
 
-__all__ = ["LEVEL_SECONDS", "KeySamples", "measure_layers", "render_sample", "render_stroke"]
-
 # A sample ends this far below its peak, dB, or after the requested time. The fade is this fraction of its length.
 SILENT_DB = 110.0
 FADE = 0.05

@@ -7,8 +7,6 @@ from typing import Any
 from ..parameters import PARAMETERS, Hammer, Parameter
 from .law import FeltLaw
 
-__all__ = ["COLUMNS", "HUNT_CROSSLEY", "LAWS", "POWER", "published_parameter"]
-
 # Prior standard deviations of log(value) around the published hammer for the key. Felts of similar instruments differ
 # by factors (Chaigne and Askenfelt 1994; Chabassier). K_H stands for the force at a reference compression.
 FELT_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2}

@@ -18,8 +18,6 @@ from typing import Any
 from ..errors import ParameterError
 from ..parameters import PARAMETERS, Parameter, check
 
-__all__ = ["COMMON_PARAMETERS", "FeltLaw"]
-
 # Parameters of every hammer, in addition to those of its felt.
 COMMON_PARAMETERS = ("M_H", "v_H0")
 # Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.

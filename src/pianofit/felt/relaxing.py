@@ -14,8 +14,6 @@ from ..parameters import Number, Parameter
 from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
 
-__all__ = ["LAWS", "STULOV", "RelaxingHammer"]
-
 
 class RelaxingHammer(NamedTuple):
     """A hammer with relaxing felt: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 the law of Stulov.

@@ -25,8 +25,6 @@ from .interpolate_keys import with_interpolated_responses
 from .key_quantities import LAW_QUANTITIES, is_force, key_quantities, literature, note_from_quantities
 from .laws import ENOUGH_KEYS, Law, fit_law
 
-__all__ = ["build_instrument", "fit_velocity_curve"]
-
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
 # The state of a key is the first of these that any of its values has.
 WORST_FIRST: tuple[ValueState, ...] = ("outlier", "pulled", "fitted")

@@ -29,8 +29,6 @@ from ..schema.notes import note_of
 from ..schema.quantities import Quantity
 from .key_quantities import LAW_QUANTITIES, reference_compression
 
-__all__ = ["LOUDEST_VELOCITY", "KeyFit", "find_fits", "instrument_name", "load_keys", "partial_decays"]
-
 # Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST_VELOCITY = 4.0
 # Factor on the intervals of a fit that did not converge.

@@ -28,8 +28,6 @@ from .collect_fits import find_fits, instrument_name, load_keys
 from .instrument import Instrument, Key
 from .interpolate_keys import with_interpolated_responses
 
-__all__ = ["instrument_record", "load_instrument", "write_instrument"]
-
 
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
     """Load an instrument from a file, or from a folder with an `instrument.json` or with fits.

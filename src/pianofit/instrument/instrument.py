@@ -11,8 +11,6 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
 
-__all__ = ["KEY_STATES", "Instrument", "Key"]
-
 # States of a key, and what they mean.
 KEY_STATES: dict[KeyState, str] = {
     "fitted": "values of its own fit",

@@ -31,8 +31,6 @@ from ..model.note import Note
 from .instrument import Key
 from .key_quantities import is_force
 
-__all__ = ["REACH", "interpolate_keys", "with_interpolated_responses"]
-
 # Largest distance to the recorded key, semitones.
 REACH = 12
 # Windows over frequency in which decay curves are averaged: standard deviation and spacing, octaves.

@@ -18,16 +18,6 @@ from ..model.note import Note
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from .laws import Prior
 
-__all__ = [
-    "LAW_QUANTITIES",
-    "LawQuantity",
-    "is_force",
-    "key_quantities",
-    "literature",
-    "note_from_quantities",
-    "reference_compression",
-]
-
 # Hammer velocity of the reference compression, m/s.
 REFERENCE_VELOCITY = 2.0
 

@@ -21,8 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["OUTLIER_SD", "Law", "Prior", "fit_law"]
-
 # Standard deviations from the prediction of the other keys beyond which a key is an outlier, and a suspect.
 OUTLIER_SD = 4.0
 SUSPECT = 3.0

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["write_page"]
-
 CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
 FIGURES = {

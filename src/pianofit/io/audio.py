@@ -20,9 +20,17 @@ from .containers import RATES, RESAVE, SOUNDS, audio_of, check_layout, is_sound,
 from .files import printable
 
 __all__ = [
-    "LOSSY", "RATES", "SOUNDS", "STEPS", "Layout", "check_layout", "decode", "is_sound", "layout_of",
+    "LOSSY",
+    "RATES",
+    "SOUNDS",
+    "STEPS",
+    "Layout",
+    "check_layout",
+    "decode",
+    "is_sound",
+    "layout_of",
     "readable_formats",
-]  # fmt: skip
+]
 
 STEPS = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31}  # quantiser steps; full scale = 1
 EXACT = (*STEPS, "FLOAT", "DOUBLE")

@@ -14,14 +14,24 @@ from typing import NamedTuple
 from ..errors import RecordingError
 from .files import printable
 
-__all__ = ["RATES", "SOUNDS", "audio_of", "check_layout", "is_sound", "readable_formats"]
-
 # Suffixes of supported files, with the name of each format. All other lists of suffixes are derived from this one.
 SOUNDS = {
-    ".wav": "WAV", ".flac": "FLAC", ".aif": "AIFF", ".aiff": "AIFF", ".aifc": "AIFF", ".w64": "Wave64", ".rf64": "RF64",
-    ".bw64": "RF64", ".caf": "CAF", ".au": "AU", ".snd": "AU", ".ogg": "OGG", ".oga": "OGG", ".opus": "OGG",
+    ".wav": "WAV",
+    ".flac": "FLAC",
+    ".aif": "AIFF",
+    ".aiff": "AIFF",
+    ".aifc": "AIFF",
+    ".w64": "Wave64",
+    ".rf64": "RF64",
+    ".bw64": "RF64",
+    ".caf": "CAF",
+    ".au": "AU",
+    ".snd": "AU",
+    ".ogg": "OGG",
+    ".oga": "OGG",
+    ".opus": "OGG",
     ".mp3": "MP3",
-}  # fmt: skip
+}
 RATES = (8_000, 384_000)  # Hz
 MAX_VALUES = 2**27  # samples times channels: 1 GiB of float64
 MAX_SECONDS = 600.0
@@ -32,18 +42,29 @@ CODECS = {1: "PCM", 2: "MS ADPCM", 3: "float", 6: "A-law", 7: "u-law", 17: "IMA 
 PCM, FLOAT = "PCM", "float"
 EXACT = {(PCM, 16), (PCM, 24), (PCM, 32), (FLOAT, 32), (FLOAT, 64)}  # (codec, bits) without loss
 AIFC_CODECS = {
-    b"NONE": PCM, b"twos": PCM, b"sowt": PCM, b"in24": PCM, b"in32": PCM,
-    b"fl32": FLOAT, b"FL32": FLOAT, b"fl64": FLOAT, b"FL64": FLOAT,
-}  # fmt: skip
+    b"NONE": PCM,
+    b"twos": PCM,
+    b"sowt": PCM,
+    b"in24": PCM,
+    b"in32": PCM,
+    b"fl32": FLOAT,
+    b"FL32": FLOAT,
+    b"fl64": FLOAT,
+    b"FL64": FLOAT,
+}
 AU_CODECS = {3: (PCM, 16), 4: (PCM, 24), 5: (PCM, 32), 6: (FLOAT, 32), 7: (FLOAT, 64)}
 W64_TAIL = {
     b"riff": "2e91cf11a5d628db04c10000",
     b"wave": "f3acd3118cd100c04f8edb8a",
 }  # last bytes of GUIDs; all other chunks as wave
 OTHERS = {
-    b"RIFX": "a big-endian WAV file", b"MThd": "a MIDI file", b"wvpk": "a WavPack file",
-    b"MAC ": "a Monkey's Audio file", b"\x30\x26\xb2\x75": "a WMA file", b"ADIF": "an AAC file",
-}  # fmt: skip
+    b"RIFX": "a big-endian WAV file",
+    b"MThd": "a MIDI file",
+    b"wvpk": "a WavPack file",
+    b"MAC ": "a Monkey's Audio file",
+    b"\x30\x26\xb2\x75": "a WMA file",
+    b"ADIF": "an AAC file",
+}
 OGG_PAGE = struct.Struct("<4sBBqIIIB")
 OGG_BEGIN, OGG_END = 2, 4  # flags of the first and last page of a stream
 REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))

@@ -21,29 +21,6 @@ import numpy as np
 
 from ..errors import OutputError, ParameterError, PianofitError, check_range, check_type
 
-__all__ = [
-    "PEAK_LIMIT",
-    "MAX_CHANNELS",
-    "DISK_FULL",
-    "check_sound_target",
-    "check_target",
-    "encode_pcm",
-    "encode_wav",
-    "cleanup_on_interrupt",
-    "json_text",
-    "limit_peak",
-    "printable",
-    "output_folder",
-    "read_file",
-    "read_text",
-    "replace_file",
-    "short_repr",
-    "write_error",
-    "replace_strings",
-    "write_file",
-    "write_wav",
-]
-
 # The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
 HIGHEST_RATE = 10_000_000  # Hz
 MAX_CHANNELS = 8

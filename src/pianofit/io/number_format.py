@@ -12,23 +12,6 @@ from dataclasses import fields
 from decimal import Decimal
 from typing import Any
 
-__all__ = [
-    "LARGEST",
-    "format_like",
-    "format_with_interval",
-    "columns",
-    "counted",
-    "filled",
-    "is_number",
-    "number",
-    "format_relative_uncertainty",
-    "log_half_width",
-    "summary",
-    "with_half_interval",
-    "with_interval",
-    "with_standard_error",
-]
-
 # Larger numbers overflow when squared.
 LARGEST = 1e300
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
@@ -124,9 +107,11 @@ def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
     """Align rows of text in columns, two spaces apart. The column with index `right` is aligned to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
-        "  ".join(f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True)))
-        .rstrip() for row in rows
-    ]  # fmt: skip
+        "  ".join(
+            f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:

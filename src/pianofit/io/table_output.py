@@ -12,8 +12,6 @@ from typing import Any
 from ..errors import OutputError, PianofitError
 from .files import replace_file
 
-__all__ = ["data_frame", "html_table", "require_optional", "write_csv"]
-
 Rows = Iterable[Sequence[Any]]
 
 

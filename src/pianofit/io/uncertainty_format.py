@@ -19,8 +19,6 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from ..io.number_format import SUPERSCRIPTS, format_with_interval
 
-__all__ = ["Spec", "latex_name", "latex_unit", "parse_format_spec", "format_interval", "format_with_sd"]
-
 SPEC = re.compile(r"(?P<pad>(?:.?[<>=^])?\d*)(?:\.(?P<digits>\d+))?(?P<u>u?)(?P<kind>[efg]?)(?P<style>[SLPp]*)")
 # Largest first three digits of an uncertainty written with two digits, and smallest that are rounded up to 1000.
 TWO_DIGITS_UP_TO, ROUNDED_UP_FROM = 354, 950

@@ -12,8 +12,6 @@ import numpy as np
 
 from ..recording.recording import MAX_FIRST_SAMPLE, Recording
 
-__all__ = ["CHECKS", "clicks", "clipping", "failures", "onset_in_file", "offset"]
-
 # Offset over peak, 1: −40 dB. An offset is audible as a click at both ends. Intact recordings have at most 0.0008.
 OFFSET = 0.01
 # Jump over the rms of its surroundings, 1. In noise, not one sample in a million exceeds 5; intact recordings have at
@@ -77,8 +75,11 @@ def _surrounding_rms(values: np.ndarray, around: int) -> np.ndarray:
 
 
 CHECKS: dict[str, Callable[[Recording], str | None]] = {
-    "clipping": clipping, "offset": offset, "onset": onset_in_file, "clicks": clicks,
-}  # fmt: skip
+    "clipping": clipping,
+    "offset": offset,
+    "onset": onset_in_file,
+    "clicks": clicks,
+}
 
 
 def failures(recording: Recording) -> list[str]:

@@ -15,8 +15,6 @@ from ..io.files import printable, replace_file
 from ..report.sound import Clip
 from .page import ListeningSound
 
-__all__ = ["write_experiment"]
-
 # Folder of the sounds, relative to the root of webMUSHRA.
 SOUNDS = "configs/resources/pianofit"
 GRADE = "Grade each sound against the reference. One of them is the reference itself."
@@ -55,15 +53,27 @@ def write_experiment(folder: Path, clips: list[tuple[ListeningSound, Clip]], ref
         ]
     end = {"type": "finish", "name": "Thank you", "content": "Your answers are saved.", "writeResults": True}
     settings = {
-        "testname": "A blind listening test", "testId": "pianofit", "bufferSize": BUFFER, "stopOnErrors": True,
-        "showButtonPreviousPage": False, "remoteService": "service/write.php", "pages": [pages, end],
-    }  # fmt: skip
+        "testname": "A blind listening test",
+        "testId": "pianofit",
+        "bufferSize": BUFFER,
+        "stopOnErrors": True,
+        "showButtonPreviousPage": False,
+        "remoteService": "service/write.php",
+        "pages": [pages, end],
+    }
     # JSON is YAML: https://yaml.org/spec/1.2.2, 1.3.
     replace_file(folder / "configs" / "pianofit.yaml", (json.dumps(settings, indent=2) + "\n").encode())
 
 
 def _page(kind: str, name: str, content: str, reference: str, stimuli: dict[str, str], **more: Any) -> dict[str, Any]:
     return {
-        "type": kind, "id": name, "name": "Listen", "content": content, "showWaveform": False, "enableLooping": False,
-        "reference": reference, **more, "stimuli": stimuli,
-    }  # fmt: skip
+        "type": kind,
+        "id": name,
+        "name": "Listen",
+        "content": content,
+        "showWaveform": False,
+        "enableLooping": False,
+        "reference": reference,
+        **more,
+        "stimuli": stimuli,
+    }

@@ -23,8 +23,6 @@ from ..report.sound import Clip, make_clips
 from ..schema.decode import builtins_of, encode_json
 from ..schema.listening import ListeningKey, SoundIdentity, TrialEntry
 
-__all__ = ["ListeningSound", "Question", "write_listening"]
-
 # Time that a listener needs for one question, min.
 MINUTES = 0.25
 
@@ -77,9 +75,18 @@ class Trial(NamedTuple):
 
 
 def write_listening(
-    path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
-    about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
-) -> list[tuple[ListeningSound, Clip]]:  # fmt: skip
+    path: str | os.PathLike[str],
+    questions: list[Question],
+    rate: int,
+    onset: float,
+    seed: int,
+    *,
+    program: str,
+    about: str,
+    origin: str,
+    key: str | os.PathLike[str],
+    seconds: float = 8.0,
+) -> list[tuple[ListeningSound, Clip]]:
     """Write the page and its key.
 
     Parameters
@@ -121,11 +128,20 @@ def write_listening(
     }
     counts = {kind: sum(t.question.kind == kind for t in trials) for kind in ("abx", "nearer")}
     write_page(
-        path, "listening.html.j2", package="pianofit.listening", styles=("listening.css",),
-        scripts=("audio.js", "listening.js"), title="A blind listening test", test=test, counts=counts,
-        count=len(trials), about=about, origin=origin, minutes=max(1, round(MINUTES * len(trials))),
+        path,
+        "listening.html.j2",
+        package="pianofit.listening",
+        styles=("listening.css",),
+        scripts=("audio.js", "listening.js"),
+        title="A blind listening test",
+        test=test,
+        counts=counts,
+        count=len(trials),
+        about=about,
+        origin=origin,
+        minutes=max(1, round(MINUTES * len(trials))),
         controls=sum(t.question.condition.startswith("hidden reference") for t in trials),
-    )  # fmt: skip
+    )
     replace_file(key, encode_json(hidden))
     return [*zip(sounds, clips, strict=True)]
 

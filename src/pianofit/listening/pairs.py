@@ -19,8 +19,6 @@ from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording
 from ..report.save import stroke_names
 from ..schema.fit import read_fit
 
-__all__ = ["Place", "load_pair", "pairs_of"]
-
 # Maximum number of pairs. With 4 s in stereo at 48 kHz the page has 160 MB, which browsers still open.
 MAX_PAIRS = 80
 FIT_PATTERNS = ("keys/*/fit.json", "*/fit.json", "fit.json")

@@ -11,8 +11,6 @@ from ..errors import ParameterError
 from ..io.files import printable
 from ..schema.listening import read_answers
 
-__all__ = ["Count", "count_answers"]
-
 
 @dataclass(frozen=True)
 class Count:

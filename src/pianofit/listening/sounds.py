@@ -20,8 +20,6 @@ from .mushra import write_experiment
 from .page import ListeningSound, Question, write_listening
 from .pairs import MAX_PAIRS, load_pair, pairs_of
 
-__all__ = ["ListeningSummary", "write_listening_test"]
-
 # Time before the onset, s, because a knock may begin 12 ms earlier. The first half fades in.
 LEAD = 0.02
 # Maximum number of questions of a condition, about two hours.
@@ -106,10 +104,17 @@ def write_listening_test(
     ]
     questions = [question for part in _conditions(cases) for question in _balanced_trials(part, trials, draw)]
     clips = write_listening(
-        folder / "listen.html", questions, rate, LEAD, seed, program="pianofit listen",
-        about=f"{counted(len(cases), 'sound')}, each in two versions", key=folder / "key.json", seconds=seconds,
+        folder / "listen.html",
+        questions,
+        rate,
+        LEAD,
+        seed,
+        program="pianofit listen",
+        about=f"{counted(len(cases), 'sound')}, each in two versions",
+        key=folder / "key.json",
+        seconds=seconds,
         origin=f"the same sounds in {'a third version' if reference else 'one of the two versions'}",
-    )  # fmt: skip
+    )
     write_experiment(folder / "webmushra", clips, labels[-1] if reference else labels[0])
     return ListeningSummary(
         [case[0].case for case in cases], alone, failed, sum(question.times for question in questions)

@@ -17,8 +17,6 @@ from ..dsp.filters import resample
 from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import Recording
 
-__all__ = ["SPAN", "AlignedLayers", "align_layers", "partial_band", "relative_pitches", "track_offsets"]
-
 # Modes are estimated from this time after the onset, s. Most aftersounds have shown their decay by then.
 SPAN = 3.3
 # A glide is removed only if it exceeds so many of its standard errors.

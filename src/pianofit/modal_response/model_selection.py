@@ -25,8 +25,6 @@ from .aligned_layers import AlignedLayers, align_layers
 from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
 
-__all__ = ["fit_modal_response", "modal_response_of"]
-
 
 class _LayerGroup(NamedTuple):
     """The recordings of a key in one path group, by rising hammer velocity; the last is the reference."""

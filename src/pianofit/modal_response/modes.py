@@ -21,8 +21,6 @@ from ..dsp.damped_sums import sum_damped_modes
 from .aligned_layers import AlignedLayers, partial_band, relative_pitches, track_offsets
 from .valid_frames import RANGE, ValidFrames, select_valid_frames
 
-__all__ = ["PartialModes", "common_pattern", "modes_of"]
-
 # Numbers of modes that a partial can have.
 ORDERS = (1, 2, 3, 4)
 # Exponential weights of the subspace estimate, in decay rates of the single mode: 0 favours the attack, 1 the

@@ -22,8 +22,6 @@ from ..result.notes import UNINFORMATIVE_ERROR, smooth_random_walk
 from .aligned_layers import AlignedLayers
 from .modes import PartialModes, common_pattern
 
-__all__ = ["SharedResponse", "estimate_shared_response"]
-
 # Longest knock after the contact, s. A longer one hardly reduces the log-mel distance. The end of the shortest layer
 # also limits it.
 KNOCK = 0.4

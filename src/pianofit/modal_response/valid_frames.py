@@ -15,8 +15,6 @@ from ..dsp.bands import Bands
 from ..dsp.common_poles import Signals
 from .aligned_layers import SPAN
 
-__all__ = ["RANGE", "ValidFrames", "select_valid_frames"]
-
 # From this time on, s, frames are weighted evenly in the logarithm of time.
 LOG_TIME_START = 0.1
 # Frames this far below the band's largest value, dB, are not fitted, even without noise. They also hold the resonance

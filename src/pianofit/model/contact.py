@@ -29,17 +29,6 @@ from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
 from .free_motion import FreeMotion, free_motion
 from .modes import ComplexModes, Modes, RealModesLike
 
-__all__ = [
-    "PostContactState",
-    "Pulse",
-    "impulse_amplitude",
-    "kernel",
-    "kernel_rows",
-    "strike",
-    "strike_final_state",
-    "strike_moving_string",
-]
-
 
 class Pulse(NamedTuple):
     """Force and motion during the contact, step by step from the first touch at n = 0. Units: SI."""

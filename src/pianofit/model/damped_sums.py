@@ -13,8 +13,6 @@ from jaxtyping import Array, Complex, Float
 
 from ..x64 import AnyArray, derivative, float64
 
-__all__ = ["BLOCK", "real_powers", "sum_damped_exponentials", "z_transform"]
-
 # Steps in a block, here and in the contact.
 BLOCK = 32
 

@@ -14,8 +14,6 @@ from ..io.number_format import summary
 from ..x64 import float64
 from .modes import ComplexModes, Modes, RealModes, RealModesLike
 
-__all__ = ["FreeMotion", "free_motion", "pluck", "project"]
-
 
 class FreeMotion(NamedTuple):
     """Free motion of a string, q = Re(amplitude · z^n), with its speed and energy."""

@@ -26,8 +26,6 @@ from .damped_sums import sum_damped_exponentials, z_transform
 from .free_motion import FreeMotion
 from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
 
-__all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
-
 # Largest exponent: exp of this, and its square, are finite.
 MAX_EXPONENT = 300.0
 

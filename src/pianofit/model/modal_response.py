@@ -26,21 +26,6 @@ from ..io.number_format import summary
 from .output_path import at_velocity
 from .simulate import Simulation
 
-__all__ = [
-    "FILTER_REACH",
-    "EARLY",
-    "LATE",
-    "PRE_ONSET_S",
-    "ForcePulse",
-    "VelocityGain",
-    "ModalResponse",
-    "PartialDecay",
-    "decays_and_beats",
-    "force_pulse",
-    "cancel_static_deflection",
-    "trim_trailing_zeros",
-]
-
 # The knock may begin this long before the contact, s: onsets are detected a little late.
 PRE_ONSET_S = 0.012
 # Samples before and after a force that a band-limited force extends over: the reach of the resampling filter.

@@ -26,19 +26,6 @@ from ..io.number_format import summary
 from ..parameters import Geometry, String
 from ..x64 import AnyArray, derivative, float64
 
-__all__ = [
-    "QUANTITIES",
-    "ComplexModes",
-    "ComplexModesLike",
-    "Modes",
-    "RealModes",
-    "RealModesLike",
-    "mode_frequencies",
-    "mode_table",
-    "raised_cosine_weights",
-    "window_weights",
-]
-
 # One number per mode, in results and in arguments, which may be arrays of NumPy too.
 RealModes = Float[Array, " modes"]
 ComplexModes = Complex[Array, " modes"]

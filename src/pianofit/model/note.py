@@ -24,8 +24,6 @@ from .modes import mode_frequencies, mode_table
 from .output_path import OutputPath, apply_filter, apply_to_modes, impulse_response
 from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
 
-__all__ = ["MAX_SAMPLES", "MAX_SECONDS", "Note", "arrival", "check_render"]
-
 MAX_SECONDS = 600.0
 # More samples would not fit into the memory of an ordinary machine.
 MAX_SAMPLES = 2**25

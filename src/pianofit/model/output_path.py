@@ -15,16 +15,6 @@ from scipy.signal import oaconvolve
 from ..dsp.level import level_energy
 from ..io.number_format import summary
 
-__all__ = [
-    "SAME_PARTIAL_TOLERANCE",
-    "OutputPath",
-    "VelocityDiscrepancy",
-    "at_velocity",
-    "apply_filter",
-    "impulse_response",
-    "apply_to_modes",
-]
-
 # Largest relative difference of frequencies of the same partial: the pitch of recordings differs by cents.
 SAME_PARTIAL_TOLERANCE = 0.005
 # Shortest duration of the computed impulse response, s; its first half is kept. It spans several periods of the lowest

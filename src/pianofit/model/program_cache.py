@@ -22,8 +22,6 @@ from jax.core import Tracer
 from ..felt import FeltLaw, is_builtin
 from ..x64 import x64_scope
 
-__all__ = ["MAX_LOADED", "cache_folder", "enable_program_cache", "persistent_jit"]
-
 # Number of shapes per function whose programs stay in memory: those of one fit. A program takes some hundred memory
 # mappings, and Linux allows 65,530 per process: without this limit a process would fail after some twenty notes.
 MAX_LOADED = 4

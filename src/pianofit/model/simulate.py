@@ -19,8 +19,6 @@ from .free_motion import FreeMotion, free_motion
 from .free_response import waveform
 from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 
-__all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
-
 # The error is of second order in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
 MIN_CONTACT_RATE = 88_000.0
 MAX_CONTACT_RATE = 6_000_000.0

@@ -21,8 +21,6 @@ from ..errors import RecordingError
 from ..io.files import printable, read_file
 from .midi_file import MidiError, MidiFile, parse_midi
 
-__all__ = ["Song", "load_song", "read_song"]
-
 LARGEST_SONG = 2**21  # bytes; 100,000 notes take about half of it
 MOST_NOTES = 100_000
 MOST_SONG_SECONDS = 1800.0

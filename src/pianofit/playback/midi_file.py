@@ -12,8 +12,6 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from typing import NamedTuple
 
-__all__ = ["MidiError", "MidiEvent", "MidiFile", "parse_midi"]
-
 SYSEX, ESCAPE, META = 0xF0, 0xF7, 0xFF
 END_OF_TRACK, SET_TEMPO = 0x2F, 0x51
 # Data bytes of system messages, which a file should not hold; all others have none.

@@ -24,8 +24,6 @@ from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_STEPS, contact_rate, count_modes
 from ..parameters import Hammer
 
-__all__ = ["StringTables", "strike_string", "string_tables"]
-
 LEAST_MODES = 64
 # First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MOST_STEPS`.
 FIRST_STEPS = 4096

@@ -20,8 +20,6 @@ from ..threads import one_blas_thread
 from .midi import Song
 from .voice import StringVoice
 
-__all__ = ["Performance", "limit", "render_song"]
-
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
 # Largest gain reduction by the limiter. Any further reduction applies to the whole song.

@@ -21,8 +21,6 @@ from ..model.note import Note
 from ..model.output_path import apply_filter
 from .repeated_strike import StringTables, strike_string, string_tables
 
-__all__ = ["CHANNELS", "KNOCK_RATES", "LAST_DAMPER", "StringVoice", "damper_rate"]
-
 # Largest number of channels of exports and pages: stereo.
 CHANNELS = 2
 # Reduced rates of knocks in exports and pages, Hz: divisors of 48,000 Hz, the best first.

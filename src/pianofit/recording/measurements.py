@@ -11,8 +11,6 @@ from ..errors import ParameterError, RecordingError
 from ..io.files import printable
 from ..io.number_format import counted
 
-__all__ = ["check_channel", "count_clipped", "noise_rms", "offset", "opposite_channels", "select_channels"]
-
 CHANNELS = ("average", "left", "right", *"12345678")
 CANCELLATION = 4.0  # 6 dB; inverting channels of spaced microphones gains less than 5 dB, of a reversed channel more
 MIN_AVERAGE = 0.01  # of the channels' energy; a weaker average holds only the differences between the channels

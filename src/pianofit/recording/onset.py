@@ -15,8 +15,6 @@ import numpy as np
 
 from ..dsp.filters import forward_mean, without_drift
 
-__all__ = ["find_onset", "find_sounds"]
-
 LOUD = 0.05  # of the peak, above which a sample belongs to a sound
 WIDTH = 0.02  # s, over which a level is averaged; a click is much shorter
 PERIOD = 0.037  # s, of the lowest key; the level that divides sounds is averaged over it, because bass notes are pulses

@@ -21,25 +21,6 @@ from .decode import Number, convert, load_json
 from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
-__all__ = [
-    "INSTRUMENT_FILE",
-    "FitSummary",
-    "GeometryEntry",
-    "HammerEntry",
-    "InstrumentFile",
-    "KeyEntry",
-    "KeyState",
-    "KeyValue",
-    "KeyboardLaw",
-    "Layer",
-    "OwnFit",
-    "PartialEntry",
-    "StringEntry",
-    "ValueState",
-    "VelocityCurve",
-    "read_instrument_file",
-]
-
 INSTRUMENT_FILE = "instrument.json"
 INSTRUMENT_SCHEMA = 3
 # Largest instrument.json, bytes.

@@ -10,8 +10,6 @@ from ..errors import ParameterError
 from ..io.files import printable, short_repr
 from .decode import convert, load_json
 
-__all__ = ["ANSWERS_SCHEMA", "Answer", "Answers", "ListeningKey", "SoundIdentity", "TrialEntry", "read_answers"]
-
 ANSWERS_SCHEMA = 2
 # Largest file of answers, bytes. Thousands of trials need less.
 LARGEST_ANSWERS = 2**24

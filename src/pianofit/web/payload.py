@@ -24,8 +24,6 @@ from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
 from ..schema.instrument import KeyValue
 
-__all__ = ["KNOCK_ENCODINGS", "KnockEncoding", "encode_instrument", "encode_note", "slider_intervals"]
-
 # Samples of a knock that share a scale.
 SCALE_BLOCK = 256
 # Significant digits of values and intervals, which are only displayed.

@@ -18,8 +18,6 @@ from ..recording.recording import load_recording
 from ..report.sound import excerpt
 from ..schema.instrument import Layer
 
-__all__ = ["recorded_layers"]
-
 # Lengths of a layer, s. The longest is used for which all layers fit into `ROOM`, bytes of the page.
 LENGTHS = (4.0, 3.0, 2.0)
 ROOM = 30_000_000

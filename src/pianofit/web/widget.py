@@ -16,8 +16,6 @@ from ..model.note import Note
 from .payload import encode_note
 from .write import engine_source, script_source
 
-__all__ = ["front_end", "note_payload", "widget"]
-
 
 def widget(note: Note) -> Any:
     """Return a widget that plays `note`.

@@ -11,17 +11,24 @@ from ..report import html
 from .payload import KnockEncoding, encode_instrument
 from .recordings import recorded_layers
 
-__all__ = ["PAGE_BYTES", "PageSummary", "engine_source", "script_source", "write_page"]
-
 # Bytes: small enough for an e-mail, and for a browser to open without delay.
 PAGE_BYTES = 1_500_000
 # Bytes reserved for scripts, styles and text: 131,000 today, with a margin.
 SCRIPT_BYTES = 135_000
 # Modules without a user interface. Joined into one, they are loaded by both the main and the audio thread.
 ENGINE = (
-    "signal.js", "contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "instrument.js",
-    "midi.js", "record.js", "loudness.js",
-)  # fmt: skip
+    "signal.js",
+    "contact.js",
+    "engine.js",
+    "prepare.js",
+    "output.js",
+    "change.js",
+    "note.js",
+    "instrument.js",
+    "midi.js",
+    "record.js",
+    "loudness.js",
+)
 # Additional scripts for pages with recordings; the first is shared by all pages.
 COMPARING = ("audio.js", "compare.js")
 SCRIPTS = ("player.js", "workbench.js", "song.js", "keyboard.js")

@@ -23,8 +23,6 @@ from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
 from ...playback.repeated_strike import StringTables, strike_string, string_tables
 
-__all__ = ["MARGIN", "RATE", "VELOCITIES", "KeyTables", "LowRankSignals", "tabulate_key", "tabulate_knock"]
-
 # Sample rate of forces, Hz.
 RATE = 48_000
 # MIDI velocities at which forces are tabulated.

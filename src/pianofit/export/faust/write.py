@@ -21,8 +21,6 @@ from ..layers import LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
 
-__all__ = ["FaustSummary", "write_faust"]
-
 # Largest number of resonators per voice: 16 voices then use a quarter of one core, see benchmarks/faust.py.
 MODES = 128
 # Resonators that are switched on and off together: few branches per sample, and few resonators computed in vain.

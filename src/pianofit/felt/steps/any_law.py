@@ -17,8 +17,6 @@ from jaxtyping import Array
 from ...errors import ParameterError
 from ...x64 import derivative, float64
 
-__all__ = ["check_passive", "felt_force", "residual", "root"]
-
 # Limit of iterations: bisection alone takes some 60 to rounding.
 MAX_ITERATIONS = 200
 # Relative change of u after which the next Newton iteration would only change rounding.

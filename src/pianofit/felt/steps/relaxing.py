@@ -26,8 +26,6 @@ from ...parameters import Hammer
 from ...x64 import AnyArray, derivative, float64
 from ..relaxing import RelaxingHammer
 
-__all__ = ["Weights", "felt_force", "memory_weights", "residual", "root", "update_relaxation"]
-
 # Limit of iterations. From the worst start (p = 5) each reduces the error by a fifth until convergence is quadratic.
 MAX_ITERATIONS = 200
 # Number of Halley iterations, and relative changes of u after which the next iteration would only change rounding.
