@@ -29,7 +29,7 @@ class Machines:
         self.folder = folder
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
         file = folder / "scheduler.json"
-        wait(file.exists)
+        wait(lambda: file.exists() and file.read_text().endswith("}"))  # the scheduler writes it in pieces
         self.address = json.loads(file.read_text())["address"]
         self.workers = [self.add() for _ in range(workers)]
 
