@@ -101,7 +101,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FREQUENCY`, σ": (priors, "FREQUENCY", median(0)),
         "`DECAY`, σ": (priors, "DECAY", median(0)),
         "`LAW_REACH`": (priors, "LAW_REACH", plain),
-        "`HIGHEST`": (observation_tables, "HIGHEST_HZ", plain),
+        "`HIGHEST_HZ`": (observation_tables, "HIGHEST_HZ", plain),
         "`SAMPLES`": (multistart, "SAMPLES", plain),
         "`VELOCITIES`": (multistart, "VELOCITIES", points),
         "`FINE_VELOCITIES`": (multistart, "FINE_VELOCITIES", points),

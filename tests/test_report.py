@@ -256,7 +256,7 @@ def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path):
 def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path):
     one = example_fit(minima=[minimum(1.0, 0.0)])
     assert minima(one) is None
-    assert "Posterior modes" not in Page(written(tmp_path, one)).text
+    assert "Minima of the objective" not in Page(written(tmp_path, one)).text
     two = example_fit(minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
     names, _ = minima(two)
     assert [name for name, _ in names] == ["K_H", "p"]

@@ -84,7 +84,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     clean = _one_exponential(fitted)
     beating, beat_visible = _beating(fitted)
     # Deeper beats are resolved, or are in the misfit.
-    beat = _shared(_fill_hidden(np.minimum(beating, _DEEP), beat_visible) * np.sqrt(2) / DB)
+    beat = _at_least_neighbours(_fill_hidden(np.minimum(beating, _DEEP), beat_visible) * np.sqrt(2) / DB)
     full = fitted.with_errors(slice(None), fit)
     early, middle = fitted.fit_window(0.0, 0.8), fitted.fit_window(*FREQUENCY_WINDOW)
     first = fitted.fit_window(0.0, bands.time[0] + 0.4, LEVEL_RATE / 2, _REACH)
@@ -150,7 +150,7 @@ def _frequencies(fits: _Fits, centre: np.ndarray, use_full: np.ndarray) -> tuple
     single = np.where(fits.lasts, _beyond_noise(fits.middle, fits.full, np.imag), 0.0) / (2 * np.pi)
     single = np.hypot(single, fits.beat / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
     single = np.hypot(single, error * np.sqrt(excess))
-    sd = _shared(np.where(components.valid, _COMPONENTS * (components.frequency - frequency), single))
+    sd = _at_least_neighbours(np.where(components.valid, _COMPONENTS * (components.frequency - frequency), single))
     error = np.hypot(error, _FREQUENCY_FLOOR * frequency)
     return np.where(components.valid, components.frequency, frequency), error, sd
 
@@ -184,7 +184,7 @@ def _levels(
     level, error, lag = measure_levels(fitted, decay)
     first, power = fits.first, fits.first.fit.power
     residual = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(power, 1e-300)
-    fast = _shared(_fill_hidden(np.sqrt(residual), first.noise < _BEAT_VISIBLE**2 * power))
+    fast = _at_least_neighbours(_fill_hidden(np.sqrt(residual), first.noise < _BEAT_VISIBLE**2 * power))
     sd = DB * np.hypot(_FAST_BEAT_FACTOR * fast, _SLOW_BEAT_FACTOR * fits.beat)
     return level, np.hypot(error, _LEVEL_FLOOR), sd, lag
 
@@ -195,7 +195,7 @@ def _beyond_noise(short: ExponentialFit, long: ExponentialFit, part: Callable) -
     return np.sqrt(np.maximum(difference**2 - noise**2, 0.0))
 
 
-def _shared(sd: np.ndarray) -> np.ndarray:
+def _at_least_neighbours(sd: np.ndarray) -> np.ndarray:
     """The larger of each value and the rms of its neighbours [partials]; a single value can be zero by chance."""
     return np.maximum(np.abs(np.nan_to_num(sd)), _neighbour_rms(sd))
 

@@ -19,7 +19,7 @@ from .records import Entry
 MATCH_LIMITS = (1.0, 3.0)
 # Deviation from equal temperament, cents: most pianos are stretched by less than 25. Above 50 another note is nearer.
 TUNING_LIMITS = (25.0, 50.0)
-# Predicted layer against its recording, dB: the nearest other layer differs by about 3 dB (docs/ringing.md).
+# Predicted layer against its recording, dB: the nearest other layer differs by about 3 dB (docs/modal-response.md).
 RING_LIMITS = (3.0, 6.0)
 # Column -> unit, in the order of `lights`.
 LIGHTS = {"match": "dB", "tuning": "cents", "ring": "dB", "warnings": ""}

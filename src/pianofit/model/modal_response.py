@@ -63,7 +63,7 @@ class ForcePulse(NamedTuple):
         return max(int(np.ceil(len(self.force) * self.step * rate - 1e-6)), 1)
 
     def at(self, rate: int) -> np.ndarray:
-        """Band-limited impulse per sample at `rate`, N s [samples], from `EDGE` samples before the touch."""
+        """Band-limited impulse per sample at `rate`, N s [samples], from `FILTER_REACH` samples before the touch."""
         ratio = round(1 / (self.step * rate))
         if ratio < 1 or abs(ratio * self.step * rate - 1) > 1e-6:
             step = 1 / (INTERPOLATION_STEPS * rate)
