@@ -217,7 +217,7 @@ class Store:
     def _write_error(self, error: Exception) -> OutputError:
         """Error for a folder that cannot be written to."""
         name = printable(self.folder)
-        if "full" in str(error) or getattr(error, "errno", None) in DISK_FULL:
+        if (isinstance(error, sqlite3.Error) and "full" in str(error)) or getattr(error, "errno", None) in DISK_FULL:
             return OutputError(f"{name}: the disk is full; finished keys are kept: make room and run the same command")
         reason = getattr(error, "strerror", None) or error
         hint = "choose another folder, then run the command again"

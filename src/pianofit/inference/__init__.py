@@ -13,7 +13,7 @@ from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
-from .observation_tables import scatter_by_number
+from .observation_tables import select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, names_of
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, simulation_grid
@@ -39,7 +39,7 @@ __all__ = [
     "names_of",
     "run_in_batches",
     "run_inference",
-    "scatter_by_number",
+    "select_partials",
     "simulation_grid",
     "starting_values",
     "string_law",

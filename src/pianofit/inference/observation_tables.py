@@ -78,7 +78,7 @@ def observe(
     return Observations(number, level, frequency, decay, detected, law, cents)
 
 
-def scatter_by_number(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
+def select_partials(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
     """Select from values `table` of partials `numbers` those of partials `number` [K]; `fill` for missing ones."""
     by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
     by_number[numbers] = table
@@ -117,9 +117,9 @@ def _levels(
 ) -> ObservationTable:
     tables = [a.partials for a in analyses]
     frequency = law_frequency(ref.f0, ref.B, number)
-    value = np.stack([scatter_by_number(t.level, t.number, number, np.nan) for t in tables])
-    bound = np.stack([scatter_by_number(t.absent_bound, t.absent, number, np.nan) for t in tables])
-    error = np.stack([scatter_by_number(t.level_error, t.number, number, 1.0) for t in tables])
+    value = np.stack([select_partials(t.level, t.number, number, np.nan) for t in tables])
+    bound = np.stack([select_partials(t.absent_bound, t.absent, number, np.nan) for t in tables])
+    error = np.stack([select_partials(t.level_error, t.number, number, 1.0) for t in tables])
     detected = np.isfinite(value)
     censored = np.isfinite(bound) & ~detected
     if path:  # through an unknown path, a partial that no recording shows carries no information

@@ -20,7 +20,7 @@ from ..criterion import (
     level_error_db,
     measure,
 )
-from ..inference import STRING_SIZE, InferenceResult, scatter_by_number
+from ..inference import STRING_SIZE, InferenceResult, select_partials
 from ..model.note import Note
 from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES
@@ -82,7 +82,7 @@ class RecordingComparison:
 
     def levels_at_partials(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
         """Levels of partials `number`, dB, at the recording's [partials]; measured levels where there are none."""
-        scattered = scatter_by_number(level, number, self.analysis.partials.number, np.nan)
+        scattered = select_partials(level, number, self.analysis.partials.number, np.nan)
         return np.where(np.isfinite(scattered), scattered, self.level)
 
     def add_noise_floor(self, level: np.ndarray) -> np.ndarray:

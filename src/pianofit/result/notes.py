@@ -16,7 +16,7 @@ from ..inference import (
     InferenceResult,
     LatentPosterior,
     Minima,
-    scatter_by_number,
+    select_partials,
     string_law,
 )
 from ..inference.batched_model import DB
@@ -93,7 +93,7 @@ def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray)
     observed, decay = problem.observed, minima.candidates.parts[2]
     excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
     shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
-    return scatter_by_number(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)
+    return select_partials(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)
 
 
 # --- velocity discrepancy ---------------------------------------------------------------------------------------------
