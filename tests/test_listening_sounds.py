@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from bad_inputs import encoded, note
+from bad_inputs import encoded, fit_dict, note
 
 from pianofit import load_recording
 from pianofit.cli import main
@@ -145,8 +145,10 @@ def fits(tmp_path: Path, recordings: Path) -> Path:
     for key, names in (("A3", ("A3 p", "A3 f")), ("A4", ("A4 p",))):
         folder = out / "keys" / key
         folder.mkdir(parents=True)
-        rows = [{"file": f"/elsewhere/{name}.wav", "sha256": digests[name], "channel": "average"} for name in names]
-        (folder / "fit.json").write_text(json.dumps({"recordings": rows}))
+        content = fit_dict()
+        own = ({"file": f"/elsewhere/{name}.wav", "sha256": digests[name], "channel": "average"} for name in names)
+        content["recordings"] = [content["recordings"][0] | row for row in own]
+        (folder / "fit.json").write_text(json.dumps(content))
         for name in [f"fitted-{name}" for name in names] if len(names) > 1 else ["fitted"]:
             (folder / f"{name}.wav").write_bytes(encoded(0.5 * note(220.0, 1.2), rate=RATE))
     return out
