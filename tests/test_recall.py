@@ -71,7 +71,7 @@ def test_with_its_recording_it_is_the_result_that_was_saved(made):
         alike(mine.level, theirs.level)
     assert (one.criterion, one.levels) == (other.criterion, other.levels)
     assert builtins_of(whole.fit) == builtins_of(result.fit)
-    assert (one.modal_response is None) == (other.modal_response is None)
+    assert (one.with_modes is None) == (other.with_modes is None)
     assert back.recording is back.recording, "read once"
     assert back.plot.spectrum().has_data()
     # A moved file is accepted. An array of its samples is not, since its SHA-256 differs.
