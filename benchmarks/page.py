@@ -28,7 +28,7 @@ import rung_piano
 from pianofit.literature import typical
 from pianofit.model.modal_response import ModalResponse
 from pianofit.model.note import Note
-from pianofit.web import write_page
+from pianofit.web import write_playable_page
 from pianofit.web.payload import encode_note
 
 PROGRAM = """
@@ -105,7 +105,7 @@ def opened(runs: int) -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         path = Path(folder) / "piano.html"
         piano = rung_piano.piano(range(21, 109))
-        done = write_page(path, piano)
+        done = write_playable_page(path, piano)
         times, sizes = [], []
         for _ in range(runs):
             browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)

@@ -32,7 +32,7 @@ from pianofit.playback import Song, render_song
 from pianofit.playback.voice import StringVoice, damper_rate
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
-from pianofit.web import write_page
+from pianofit.web import write_playable_page
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, slider_intervals
 
 BLOCKS = 375  # 1 s
@@ -302,11 +302,11 @@ def test_changes_of_the_string_move_measured_partials_with_it():
 
 def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     piano = true_instrument()
-    law = write_page(tmp_path / "law.html", piano)
+    law = write_playable_page(tmp_path / "law.html", piano)
     assert law.knocks is None
     assert (tmp_path / "law.html").stat().st_size < 500_000
     rung = piano_of({midi: ringing_note(midi) for midi in piano.keys}, recorded=(60,))
-    done = write_page(tmp_path / "rung.html", rung)
+    done = write_playable_page(tmp_path / "rung.html", rung)
     assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
     assert done.knocks in (KnockEncoding(12_000, 8), KnockEncoding(8_000, 8))
     one = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)

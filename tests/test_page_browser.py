@@ -18,7 +18,7 @@ from pianofit.instrument import load_instrument
 from pianofit.playback import load_song
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
-from pianofit.web import write_page
+from pianofit.web import write_playable_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -57,7 +57,7 @@ def written(tmp_path_factory):
     piano = piano_of(notes, recorded=(60, 64), name="</script>'\"")
     path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
     values = {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.0, (1.9, 2.2))}
-    write_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
+    write_playable_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
     return path
 
 

@@ -18,7 +18,7 @@ from pianofit.playback import load_song
 from pianofit.playback.midi import read_song
 from pianofit.schema.instrument import LARGEST_INSTRUMENT, KeyValue
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
-from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_page
+from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_playable_page
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -105,7 +105,7 @@ def test_a_whole_page_is_saved_within_what_is_read(tmp_path):
 
 
 def test_the_script_leaves_the_room_for_an_instrument_that_is_counted_on(tmp_path):
-    write_page(tmp_path / "piano.html", piano())
+    write_playable_page(tmp_path / "piano.html", piano())
     size = len(json.dumps(encode_instrument(piano(), PAGE_BYTES)[0]))
     assert (tmp_path / "piano.html").stat().st_size - size < SCRIPT_BYTES
     assert encode_instrument(piano(), PAGE_BYTES)[1] == KnockEncoding(44_100, 16)

@@ -32,7 +32,7 @@ from pianofit.errors import FitError, ParameterError
 from pianofit.instrument import Instrument, load_instrument
 from pianofit.io.files import encode_wav
 from pianofit.schema.instrument import FitSummary, Layer
-from pianofit.web import write_page
+from pianofit.web import write_playable_page
 from pianofit.web.recordings import recorded_layers
 
 RATE = 48_000
@@ -170,7 +170,7 @@ def test_recording_and_instrument_are_switched_while_they_sound(piano, tmp_path)
     chromium = shutil.which("chromium") or "/usr/bin/chromium"
     if not Path(chromium).exists():
         pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
-    done = write_page(tmp_path / "piano.html", piano, recordings=True)
+    done = write_playable_page(tmp_path / "piano.html", piano, recordings=True)
     assert done.layers == 4
     said, requests = [], []
     with sync_api.sync_playwright() as play:

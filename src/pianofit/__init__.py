@@ -27,7 +27,7 @@ __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "l
 # Instruments of 88 keys from fits, songs, and exports.
 __all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument"]
 __all__ += ["write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary"]
-__all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_page"]
+__all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
 # Libraries, and blind listening tests.
 __all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
 # Errors.
@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     from .schema.quantities import Covariance, Quantities, Quantity
     from .setup import RecordingInfo, Setup
     from .synthetic import SyntheticRecording, synthetic_recording
-    from .web import PageSummary, write_page
+    from .web import PageSummary, write_playable_page
 
 _MODULES = {
     "analysis": ("Analysis", "Partials", "analyse"),
@@ -97,7 +97,7 @@ _MODULES = {
     "listening.result": ("count_answers",),
     "listening.sounds": ("ListeningSummary", "write_listening_test"),
     "playback": ("Performance", "Song", "load_song", "render_song"),
-    "web": ("PageSummary", "write_page"),
+    "web": ("PageSummary", "write_playable_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),

@@ -122,7 +122,7 @@ def page(
     The file has at most 1.5 MB. Recordings add to that.
     """
     from ..instrument import load_instrument
-    from ..web import write_page
+    from ..web import write_playable_page
 
     if out is not None:
         if out.suffix.lower() not in (".html", ".htm"):
@@ -132,7 +132,7 @@ def page(
     if out is None:
         out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
         check_target(out, force)
-    written = write_page(out, loaded, recordings)
+    written = write_playable_page(out, loaded, recordings)
     info = {
         "file": str(out),
         "bytes": out.stat().st_size,

@@ -11,6 +11,6 @@ In Python, `payload` encodes the tables, `recordings` encodes the sounds, and `w
 note in a notebook with the same scripts.
 """
 
-from .write import PageSummary, write_page
+from .write import PageSummary, write_playable_page
 
-__all__ = ["PageSummary", "write_page"]
+__all__ = ["PageSummary", "write_playable_page"]

@@ -43,7 +43,7 @@ class PageSummary(NamedTuple):
     layers: int  # recordings
 
 
-def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> PageSummary:
+def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> PageSummary:
     """Write the page of an instrument, of at most 1.5 MB, completely or not at all.
 
     Parameters
@@ -68,7 +68,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     Examples
     --------
     >>> import pianofit
-    >>> pianofit.write_page("piano.html", pianofit.load_instrument("batch", prefix="cp80"))
+    >>> pianofit.write_playable_page("piano.html", pianofit.load_instrument("batch", prefix="cp80"))
     PageSummary(knocks=None, layers=0)
     """
     payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
