@@ -1,0 +1,18 @@
+"""The values that a user gives: `values` has the setup and checks each value, `contradictions` checks them together."""
+
+from __future__ import annotations
+
+from .contradictions import STRING_PICKUPS
+from .values import KEYS, PICKUPS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
+
+__all__ = [
+    "KEYS",
+    "PICKUPS",
+    "RANGES",
+    "SETUP_KEYS",
+    "STRING_PICKUPS",
+    "RecordingInfo",
+    "Setup",
+    "recording_info_for",
+    "to_setup",
+]
