@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from pianofit import Result, fit
-from pianofit.synthetic import demo_recording
 from pianofit.report.drawing import LINES, legend, page_style
 from pianofit.report.figures import attack_waves, draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.synthetic import demo_recording
 
 PICTURE = Path(__file__).with_name("picture.png")
 
