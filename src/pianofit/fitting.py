@@ -113,9 +113,7 @@ def check_arguments(
     if not recordings:
         raise ParameterError("no recording was given; give one, or several of one key")
     check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
-    check_analyses(analyses)
-    if analyses is not None and len(analyses) != len(recordings):
-        raise ParameterError(f"{len(analyses)} analyses were given for {len(recordings)} recordings; give one for each")
+    check_analyses(analyses, len(recordings))
     check_velocity(velocity)
     check_seed(seed)
     if velocity is not None and len(recordings) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..conversions import CENTS
 from ..dsp.bands import kaiser_bands
-from ..errors import AnalysisError, WrongNoteError, check_type
+from ..errors import AnalysisError, ParameterError, WrongNoteError, check_type
 from ..recording.recording import Recording, Source, to_recording
 from .analysis_result import Analysis, Partials
 from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
@@ -75,12 +75,15 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     return _measure_all(recording, samples, number, frequency, law, note, top)
 
 
-def check_analyses(analyses: Sequence[Analysis] | None) -> None:
-    """Raise a `ParameterError` unless all items are analyses; None means that none were given."""
-    if analyses is not None:
-        check_type("analyses=", analyses, list | tuple, "a list of what analyse returned")
-        for analysis in analyses:
-            check_type("analyses: ", analysis, Analysis, "what analyse returned")
+def check_analyses(analyses: Sequence[Analysis] | None, count: int) -> None:
+    """Raise a `ParameterError` unless each of `count` recordings has an analysis; None means that none were given."""
+    if analyses is None:
+        return
+    check_type("analyses=", analyses, list | tuple, "a list of what analyse returned")
+    for analysis in analyses:
+        check_type("analyses: ", analysis, Analysis, "what analyse returned")
+    if len(analyses) != count:
+        raise ParameterError(f"{len(analyses)} analyses were given for {count} recordings; give one for each")
 
 
 def _check_partials(path: str, number: np.ndarray, law: FrequencyLaw, note: str | int | None, f0: float | None) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from ..analysis import analyse
 from ..analysis.note_names import SAME_KEY_CENTS, cents_above, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io.files import DISK_FULL, printable, read_file, replace_strings, write_error
+from ..io.files import DISK_FULL, printable, read_file, replace_paths, write_error
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, load_recording
 from .job import Job, UnusedFile, versions
@@ -130,8 +130,8 @@ def _fit_in(place: Path, job: Job, contents: Sequence[bytes] | None, report_stag
         if len(unusable) > 1 and not files:
             reason = f"none of its {len(unusable)} recordings can be used: {reason}"
         detected_note = _detected_note(job, files or [*unusable])
-        return JobResult({}, replace_strings(reason, names), detected_note=detected_note)
-    left_out = (UnusedFile(paths[str(file)], replace_strings(reason, names)) for file, reason in unusable.items())
+        return JobResult({}, replace_paths(reason, names), detected_note=detected_note)
+    left_out = (UnusedFile(paths[str(file)], replace_paths(reason, names)) for file, reason in unusable.items())
     return JobResult(outputs, left_out=tuple(left_out))
 
 

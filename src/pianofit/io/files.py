@@ -75,16 +75,11 @@ def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
         raise error(f"{printable(path)}: {wrong}; save it as UTF-8") from None
 
 
-def replace_strings(value: Any, names: Mapping[str, str]) -> Any:
-    """Replace substrings in all strings of a document, for example paths."""
-    if isinstance(value, dict):
-        return {key: replace_strings(entry, names) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [replace_strings(entry, names) for entry in value]
-    if isinstance(value, str):
-        for old, new in names.items():
-            value = value.replace(old, new)
-    return value
+def replace_paths(text: str, paths: Mapping[str, str]) -> str:
+    """Return a text with other paths, new by old. The longest is replaced first, because a path may begin another."""
+    for old in sorted(paths, key=len, reverse=True):
+        text = text.replace(old, paths[old])
+    return text
 
 
 def short_repr(value: Any) -> str:

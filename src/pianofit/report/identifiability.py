@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
-CONDITIONAL = "Determined only if the model and its output path are correct"
+CONDITIONAL = "Not identifiable, unless the model and its output path are exactly correct"
 UNDETERMINED = "Not determined by the data"
 # Half of a 95 % interval, as a logarithm: up to a factor of 2, a quantity that is reported as not identifiable would
 # be determined if the model were correct.
@@ -54,7 +54,7 @@ def identifiability_sections(fit: Fit) -> list[tuple[str, list[str]]]:
         if quantity is None or half is None:  # given, or not part of this fit
             continue
         heading = DETERMINED
-        if name in ("F/M_S", "M_H/M_S") and quantity.status == "not-identifiable":
+        if quantity.status == "not-identifiable":
             heading = CONDITIONAL if half <= LARGEST_CONDITIONAL else UNDETERMINED
         sections[heading].append(_sentence(fit, quantity, half))
     sections[DETERMINED] += _velocities(fit)

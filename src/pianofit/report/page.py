@@ -5,10 +5,8 @@ The player reads its sounds from the download links, so that each sound is in th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from functools import reduce
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +14,11 @@ import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..felt import LAWS, law_of
-from ..io.files import json_text, printable
+from ..io.files import json_text, printable, replace_paths
 from ..io.number_format import number
 from ..parameters import PARAMETERS
 from ..result import Result
 from ..schema.decode import builtins_of
-from ..schema.quantities import Quantities
 from . import text
 from .drawing import page_style, svg
 from .equations import equations
@@ -113,29 +110,13 @@ def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dic
 
 def _without_folders(result: Result, held_out: CrossValidation | None) -> tuple[Result, CrossValidation | None]:
     """Return both with file names without folders, because pages are passed on."""
-    fit = result.fit
-    files = {row.file for row in (*fit.recordings, *(held_out.recordings if held_out else ()))}
-    in_order = sorted(files, key=len, reverse=True)  # a path may begin with another
-
-    def short(words: str) -> str:
-        return reduce(lambda found, file: found.replace(file, PurePath(file).name or file), in_order, words)
-
-    def all_short(rows: Iterable[Any]) -> tuple[Any, ...]:
-        return tuple(replace(row, file=short(row.file)) for row in rows)
-
-    response = fit.modal_response
-    shortened = replace(
-        fit,
-        recordings=all_short(fit.recordings),
-        invariants=Quantities.of(replace(quantity, note=short(quantity.note)) for quantity in fit.invariants.values()),
-        warnings=tuple(map(short, fit.warnings)),
-        modal_response=response and replace(response, layers=all_short(response.layers)),
-    )
+    rows = (*result.fit.recordings, *(held_out.recordings if held_out else ()))
+    names = {row.file: PurePath(row.file).name or row.file for row in rows}
     if held_out is not None:
-        held_out = replace(
-            held_out, recordings=all_short(held_out.recordings), warnings=tuple(map(short, held_out.warnings))
-        )
-    return replace(result, fit=shortened), held_out
+        recordings = tuple(replace(row, file=names[row.file]) for row in held_out.recordings)
+        warnings = tuple(replace_paths(warning, names) for warning in held_out.warnings)
+        held_out = replace(held_out, recordings=recordings, warnings=warnings)
+    return replace(result, fit=result.fit.with_paths(names)), held_out
 
 
 # --- sounds -----------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
-from ..errors import FitError, ParameterError, check_type
+from ..errors import FitError, check_type
 from ..inference import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
@@ -104,10 +104,8 @@ def cross_validate(
     """
     check_seed(seed)
     check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
-    check_analyses(analyses)
     count, setup = len(recordings), to_setup(setup)
-    if analyses is not None and len(analyses) != count:
-        raise ParameterError(f"{len(analyses)} analyses were given for {count} recordings; give one for each")
+    check_analyses(analyses, count)
     if count < 3:
         few = "1 recording is" if count == 1 else f"{count} recordings are"
         raise FitError(f"{few} too few to leave one out; give three or more")

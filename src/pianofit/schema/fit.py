@@ -21,7 +21,7 @@ from .. import __version__
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
-from ..io.files import path_name, printable
+from ..io.files import path_name, printable, replace_paths
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from ..model.simulate import Contact
 from .decode import Number, convert, load_json
@@ -322,9 +322,7 @@ class Fit(NoteFile):
         """Return the fit with other paths of its recordings, new by old, in entries and in sentences."""
 
         def new(text: str) -> str:
-            for old in sorted(paths, key=len, reverse=True):  # a path may begin with another
-                text = text.replace(old, paths[old])
-            return text
+            return replace_paths(text, paths)
 
         response = self.modal_response
         layers = () if response is None else (replace(layer, file=new(layer.file)) for layer in response.layers)
