@@ -26,6 +26,10 @@ from .fit_job import JobResult, Work, fit_job
 from .job import Job
 
 MAX_JOBS_PER_WORKER = 16  # jobs
+# Longest time for a new worker to start Python and to import what it needs, s. A job's time limit begins afterwards.
+LONGEST_START = 120.0
+# First message of a worker about each job: it has the job, and its time begins.
+TAKEN = ""
 # One thread for each library that would use all cores. They read these when they are first imported.
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
@@ -37,7 +41,8 @@ class _Worker:
     process: Any
     pipe: connection.Connection
     job: Job | None = None
-    since: float = 0.0
+    since: float = 0.0  # when it took the job; until then, when the job was sent
+    taken: bool = False
     stage: str = ""
     served: int = 0
 
@@ -84,7 +89,7 @@ class ProcessPool:
     def submit(self, job: Job) -> None:
         """Start a job on a free worker, or on a new one."""
         worker = next((w for w in self._workers if w.job is None), None) or self._start()
-        worker.job, worker.since, worker.stage = job, time.monotonic(), ""
+        worker.job, worker.since, worker.taken, worker.stage = job, time.monotonic(), False, ""
         with contextlib.suppress(OSError):  # a dead worker is detected by its sentinel
             worker.pipe.send(job)
 
@@ -97,7 +102,8 @@ class ProcessPool:
             job, outcome = worker.job, None
             if worker.pipe in ready or worker.process.sentinel in ready:
                 outcome = self._collect(worker, dead=worker.process.sentinel in ready)
-            if outcome is None and time.monotonic() - worker.since > self._limit:
+            limit = self._limit + (0.0 if worker.taken else LONGEST_START)
+            if outcome is None and time.monotonic() - worker.since > limit:
                 self._retire(worker, 0.0)
                 reason = f"took more than {self._limit:g} s and was stopped; increase --time-limit"
                 outcome = JobResult({}, reason, seconds=self._limit)
@@ -116,6 +122,8 @@ class ProcessPool:
                     if worker.served >= MAX_JOBS_PER_WORKER:
                         self._retire(worker)
                     return message
+                if message == TAKEN:
+                    worker.taken, worker.since = True, time.monotonic()
                 worker.stage = message
         except (EOFError, OSError):
             dead = True
@@ -177,6 +185,7 @@ def _serve(pipe: connection.Connection, work: Work, memory: int, scratch: str) -
             job = pipe.recv()
         except EOFError:
             return
+        pipe.send(TAKEN)
         pipe.send(work(job, None, scratch, pipe.send))
 
 
