@@ -160,7 +160,7 @@ def _restarted(objective: Objective, candidates: Candidates, points: Points, gai
     """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
     surrogate = QuadraticSurrogate.of(
-        objective.problem.observed.level, best.level.phi[0], best.level.w[0], best.level.residual[0], gains
+        objective.problem.observed.level, best.level.phi[0], best.level.w[0], best.level.residual[0], best.theta[0], gains
     )
     fixed = objective.with_surrogate(surrogate)
     trials = fixed.start(points(best, surrogate), best.phi, best.w, best.offset)

@@ -75,8 +75,9 @@ class Hyperprior(NamedTuple):
 
 
 # Levels: excess of a recording, dB; amplitude of the smooth path, dB, and its length, octaves; amplitude of other
-# sounds over the loudest partial (53 to 75 dB below it). τ is integrated over: see PATH.
-LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002), (0.7, 0.4, 0.4, 0.9))
+# sounds over the loudest partial (53 to 75 dB below it); deviation of a partial from the hammer model that strokes of
+# similar velocity share, dB over an e-fold of velocity. τ is integrated over: see PATH.
+LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002, 1.0), (0.7, 0.4, 0.4, 0.9, 1.0))
 # Frequencies: excess over the string model, cents.
 FREQUENCY = Hyperprior((0.5,), (1.5,))
 # Decays: excess, relative to the string model.
