@@ -26,7 +26,7 @@ from .derivatives import marginalise_nuisances
 from .objective import Candidates, Objective
 
 # Number of unknown hyperparameters φ of the tables of levels, frequencies and decays.
-HYPER = (5, 1, 1)
+HYPER = (5, 3, 3)
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
 FLAT = 1e-8
 

@@ -1,11 +1,11 @@
 """The one objective: minus the log marginal posterior of tables of partials.
 
     y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + d[r,k] + e[r,k]
-    c ~ N(0, S²)      a_g ~ N(0, A² M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
+    c ~ N(0, S²)      a_g ~ N(0, A² √uuᵀ M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
     d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings of a path
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
-string's own deviation from its model, a systematic error of the analysis. The columns B describe what one recording has
+string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one recording has
 alone: gain, onset, pitch. The d describe how a partial deviates from the model in strokes of similar velocity; ρ is the
 size of the walk over an e-fold of velocity. All three are integrated out in closed form. Student's t is a scale mixture,
 whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same function:
@@ -71,10 +71,10 @@ class ObservationTable(NamedTuple):
     scale: Values  # S, prior standard deviations of their coefficients [M, Q]
     systematic: Values  # S [K, K]
     distance_octaves: Values  # distance of partials, octaves [K, K]
-    has_unknown_path: Values  # 1 where the group's path is unknown [G]
+    has_unknown_path: Values  # 1 where the group has an unknown path, or the string deviates from its model [G]
     log_tau: Values  # log τ [T, G]
     log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
-    variance_profile: Values  # u, of σ² [K]
+    variance_profile: Values  # u, of σ² and A² [K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
     velocity: Values  # derivative of each recording's log velocity by θ, 1 or 0 [R, size]
@@ -127,7 +127,8 @@ def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) ->
 def _matern(table: ObservationTable, phi: Values, xp: Space = np) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [K, K]."""
     d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[2])
-    decay = xp.exp(2 * phi[1] - d)
+    growth = xp.sqrt(table.variance_profile)
+    decay = xp.exp(2 * phi[1] - d) * growth[:, None] * growth
     return (1 + d) * decay, d**2 * decay
 
 

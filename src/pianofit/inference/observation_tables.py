@@ -200,10 +200,13 @@ def _string_tables(
         systematic = t.decay_systematic / np.outer(decay, decay)
         loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
-    glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
+    # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch (tension, partials that
+    # beat). One recording does not show it.
+    scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
+    common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), growth, glide, priors.FREQUENCY, velocity),
-        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * glide, priors.DECAY, velocity),
+        _string_table(law, *_pool_recordings(number, pitch), growth, common, priors.FREQUENCY, velocity),
+        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY, velocity),
     )
 
 
@@ -226,8 +229,8 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
 def _string_table(
     law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior, velocity: np.ndarray
 ) -> ObservationTable:
-    # Only the first of the five hyperparameters, the excess, is used here; the others stay at their priors.
-    mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE, NONE])
+    # The first three hyperparameters are used here, excess and smooth deviation; the others stay at their priors.
+    mean = np.append(hyper.log_median, [NONE, NONE])
     ones = np.ones((1, len(value)))
     return ObservationTable(
         value=value[None],
@@ -239,12 +242,12 @@ def _string_table(
         scale=np.ones((1, 1)),
         systematic=systematic,
         distance_octaves=_distance_octaves(law[0]),
-        has_unknown_path=np.zeros(1),
+        has_unknown_path=np.ones(1),
         log_tau=np.full((1, 1), NONE),
         log_weight=np.zeros((1, 1)),
         variance_profile=growth,
         ratio=0 * ones,
-        prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0, 1.0])),
+        prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
         velocity=velocity,
         degrees_of_freedom=np.float64(priors.STUDENT),
     )

@@ -122,7 +122,8 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
 
 def _diagnostics(fit: InferenceResult) -> Diagnostics:
     problem, minima = fit.problem, fit.estimate.minima
-    (sigma, smooth, octaves, floor, walk), (cents, *_), (decay, *_) = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
+    (sigma, smooth, octaves, floor, walk), *strings = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
+    cents, decay = (float(np.hypot(*hyper[:2])) for hyper in strings)
     other: dict[str, Any] = {} if fit.alternative is None else fit.alternative.diagnostics
     where = ("diagnostics", "this is an error in pianofit")
     return Diagnostics(
