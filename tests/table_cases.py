@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
@@ -76,7 +78,7 @@ def walk(t: ObservationTable, phi: np.ndarray, theta: np.ndarray) -> np.ndarray:
         own = np.flatnonzero(group == g)
         order = own[np.argsort(log_velocity[own])]
         increments = np.zeros((R, len(own) - 1))  # each increment moves all faster strokes
-        for i, (slow, fast) in enumerate(zip(order[:-1], order[1:], strict=True)):
+        for i, (slow, fast) in enumerate(pairwise(order)):
             increments[order[i + 1 :], i] = np.exp(phi[4]) * np.sqrt(log_velocity[fast] - log_velocity[slow])
         increments[own] -= increments[own].mean(axis=0)
         total += increments @ increments.T
@@ -87,7 +89,8 @@ def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int], theta: n
     """The covariance of paths, walks and columns over all entries [RK, RK], entry by entry."""
     R, K = t.value.shape
     d = np.sqrt(3) * np.asarray(t.distance_octaves) / np.exp(phi[2])
-    matern = np.exp(2 * phi[1]) * (1 + d) * np.exp(-d)
+    growth = np.sqrt(np.asarray(t.variance_profile))
+    matern = np.exp(2 * phi[1]) * np.outer(growth, growth) * (1 + d) * np.exp(-d)
     total = np.zeros((R, K, R, K))
     walks = walk(t, phi, theta)
     for i in range(R):
@@ -124,4 +127,5 @@ def dense(t: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndar
     """F, densely."""
     mean, sd = t.prior
     mixture = 0.5 * t.degrees_of_freedom * (t.detected * (w - 1 - np.log(w))).sum()
-    return float(-logsumexp(-dense_nodes(t, residual, phi, w, theta)) + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum())
+    nodes = -logsumexp(-dense_nodes(t, residual, phi, w, theta))
+    return float(nodes + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum())

@@ -33,8 +33,9 @@ ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
 def test_the_objective_is_the_dense_one(shape, seed):
     t, (residual, w, theta) = table(shape, seed), point(shape, seed)
     for phi in (PHI, PHI + np.array([0.5, -1.0, 0.7, 4.0, -1.0])):
-        assert float(F(t, residual, phi, w, theta)) == pytest.approx(dense(t, residual, phi, w, theta), rel=1e-9, abs=1e-8)
-        assert objective(t, residual, phi, w, theta, np) == pytest.approx(float(F(t, residual, phi, w, theta)), rel=1e-11)
+        found = float(F(t, residual, phi, w, theta))
+        assert found == pytest.approx(dense(t, residual, phi, w, theta), rel=1e-9, abs=1e-8)
+        assert objective(t, residual, phi, w, theta, np) == pytest.approx(found, rel=1e-11)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -48,7 +49,8 @@ def test_the_gradient_is_the_automatic_one(shape):
     _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w, theta)
     by_levels, by_velocities = automatic(np.zeros(size), theta)
     np.testing.assert_allclose(gradient, by_levels + by_velocities, rtol=1e-9, atol=1e-9)
-    assert (np.abs(by_velocities[SHARED:]) > 1e-3).any() == (shape != "one recording" and len(residual) > len(t.group[0]))
+    several = len(residual) > len(t.group[0])  # recordings of a path
+    assert (np.abs(by_velocities[SHARED:]) > 1e-3).any() == several
     assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
     step = 1e-5
     exact = [(automatic(e, theta)[0] - automatic(-e, theta)[0]) / (2 * step) for e in step * np.eye(size)]
@@ -63,7 +65,11 @@ def test_the_gradient_is_the_automatic_one(shape):
 def test_a_report_has_the_derivatives_of_the_objective(shape):
     t, (residual, w, theta) = table(shape), point(shape)
     found = evaluate(t, residual, np.ones((*residual.shape, len(theta))), PHI, w, theta)
-    both = jax.jit(jax.value_and_grad(lambda p, x: objective(t, jnp.asarray(residual), p, jnp.exp(x), theta), argnums=(0, 1)))
+
+    def of(p: jax.Array, x: jax.Array) -> jax.Array:
+        return objective(t, jnp.asarray(residual), p, jnp.exp(x), theta)
+
+    both = jax.jit(jax.value_and_grad(of, argnums=(0, 1)))
     value, (by_phi, by_log_w) = both(PHI, np.log(w))
     assert float(found.nll) == pytest.approx(float(value), rel=1e-12)
     np.testing.assert_allclose(found.by_phi, by_phi, rtol=1e-9, atol=1e-9)
@@ -116,7 +122,8 @@ def test_parabolas_before_a_residual_is_known_are_on_one_scale():
     """At the node of the middle τ, for either answer: without a residual the value is the node's own F."""
     t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     nothing = np.zeros_like(t.value)
-    per_node = solve_nodes(t, nothing, PHI, np.ones_like(nothing), np.zeros(t.velocity.shape[1])).nll_per_node - t.log_weight
+    alike = np.zeros(t.velocity.shape[1])
+    per_node = solve_nodes(t, nothing, PHI, np.ones_like(nothing), alike).nll_per_node - t.log_weight
     middle = len(per_node) // 2
     for gains in range(per_node.shape[1]):
         found = QuadraticSurrogate.of(t, PHI, gains=gains).evaluate(nothing[None], np.zeros((1, *nothing.shape, 1)))
@@ -186,7 +193,8 @@ def test_weights_integrated_out_leave_students_t():
         "censored": np.zeros((0, 2), int),
         "group": np.ones(size), "columns": np.zeros((1, 1, 1)), "scale": np.ones((1, 1)), "systematic": np.zeros(size),
         "distance_octaves": np.zeros(size), "has_unknown_path": np.zeros(1), "log_tau": np.full(size, SMALL),
-        "log_weight": np.zeros(size), "variance_profile": np.ones(1), "ratio": np.zeros(size), "velocity": np.ones(size),
+        "log_weight": np.zeros(size), "variance_profile": np.ones(1), "ratio": np.zeros(size),
+        "velocity": np.ones(size),
     }  # fmt: skip
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
     log_w = np.linspace(-12.0, 4.0, 4001)

@@ -3,8 +3,8 @@
 Let s = C⁻¹r at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
 one entry it changes by ½ (C⁻¹_ii - s_i²). By the covariance of a path it changes by ½ (N - Σ UᵀU - s sᵀ), summed over
 its recordings. By the covariance ρ² W of the recordings of one partial it changes by ½ (C⁻¹ - s sᵀ), summed over
-partials. From this follow the derivatives by ρ and by the velocities. A censored partial adds -log Φ(z), z = (bound - m)/√V. All changes also move its mean m and its
-variance V.
+partials. From this follow the derivatives by ρ and by the velocities. A censored partial adds -log Φ(z),
+z = (bound - m)/√V. All changes also move its mean m and its variance V.
 
 By the log-weights x the Hessian has a closed form in P = C⁻¹: a weight changes one entry of C's diagonal,
 ∂C/∂x_i = -v_i, v = var/w. At one node
@@ -67,7 +67,8 @@ def evaluate_batch(
     points = [evaluate(table, *point) for point in zip(residual, jacobian, phi, w, theta, strict=True)]
     if not points:
         size = jacobian.shape[-1]
-        return Evaluation(*(np.zeros((0, *shape)) for shape in ((), (size,), (size, size), phi.shape[1:], residual.shape[1:], (size,))))
+        shapes = (), (size,), (size, size), phi.shape[1:], residual.shape[1:], (size,)
+        return Evaluation(*(np.zeros((0, *shape)) for shape in shapes))
     return Evaluation(*(np.array(column) for column in zip(*points, strict=True)))
 
 
@@ -220,7 +221,8 @@ def _by_walk(point: _Point, theta: np.ndarray) -> tuple[float, np.ndarray]:
         out += np.einsum("tmn,tmnrk,tmnsk->rs", by_variance, remaining, remaining, optimize=True)
     log_velocity, centred = table.velocity @ theta, centring(table)
     by_distance = centred.T @ (out + out.T) @ centred * (table.group @ table.group.T)
-    slope = -0.5 * np.exp(2 * point.log_walk) * (by_distance * np.sign(log_velocity[:, None] - log_velocity)).sum(axis=1)
+    faster = np.sign(log_velocity[:, None] - log_velocity)
+    slope = -0.5 * np.exp(2 * point.log_walk) * (by_distance * faster).sum(axis=1)
     return float(2 * (out * p.walk).sum()), slope @ table.velocity
 
 
@@ -247,7 +249,8 @@ def latent_posterior(
     entries = np.argwhere(np.ones(residual.shape))
     posterior_variance = predicted(table, p, residual, s.q, entries).variance
     posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
-    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, discrepancy, own, posterior_variance)))
+    parts = common, columns, discrepancy, own, posterior_variance
+    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in parts))
 
 
 def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:

@@ -5,10 +5,11 @@
     d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings of a path
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
-string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one recording has
-alone: gain, onset, pitch. The d describe how a partial deviates from the model in strokes of similar velocity; ρ is the
-size of the walk over an e-fold of velocity. All three are integrated out in closed form. Student's t is a scale mixture,
-whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same function:
+string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one
+recording has alone: gain, onset, pitch. The d describe how a partial deviates from the model in strokes of similar
+velocity; ρ is the size of the walk over an e-fold of velocity. All three are integrated out in closed form. Student's t
+is a scale mixture, whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same
+function:
 
     F = ½ rᵀC⁻¹r + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
 

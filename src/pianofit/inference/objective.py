@@ -176,7 +176,8 @@ class QuadraticSurrogate(NamedTuple):
         """
         ones = np.ones_like(table.value)
         residuals, weights = 0 * ones if residual is None else residual, ones if w is None else w
-        nodes = solve_nodes(table, residuals, phi, weights, np.zeros(table.velocity.shape[1]) if theta is None else theta)
+        velocities = np.zeros(table.velocity.shape[1]) if theta is None else theta
+        nodes = solve_nodes(table, residuals, phi, weights, velocities)
         weight = node_weights(table, nodes.nll_per_node)
         if residual is None:
             weight = np.zeros_like(weight)

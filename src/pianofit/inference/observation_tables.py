@@ -200,8 +200,8 @@ def _string_tables(
         systematic = t.decay_systematic / np.outer(decay, decay)
         loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
-    # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch (tension, partials that
-    # beat). One recording does not show it.
+    # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
+    # partials that beat. One recording does not show the scatter.
     scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
     common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
