@@ -19,14 +19,14 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 def test_a_linear_gaussian_problem_is_described_exactly():
     """With nearly normal errors and a given φ the marginal of θ is Gaussian: prior and noise give its precision."""
-    known = PHI, np.full(4, 1e-5)
+    known = PHI, np.full(5, 1e-5)
     t = table("no path")._replace(degrees_of_freedom=jnp.asarray(1e9), censored=jnp.zeros((0, 2), int), prior=known)
-    residual, _ = point("no path")
-    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
-    found, _ = marginalise_nuisances(t, residual, jacobian, PHI, w, 1)
+    residual, _, theta = point("no path")
+    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, len(theta)))
+    found, _ = marginalise_nuisances(t, residual, jacobian, PHI, w, theta, 1)
     detected = np.asarray(t.detected).ravel() > 0
-    covariance = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
-    rows = jacobian.reshape(-1, 3)[detected]
+    covariance = (shared(t, PHI, (0, 0), theta) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
+    rows = jacobian.reshape(-1, len(theta))[detected]
     np.testing.assert_allclose(found, rows.T @ np.linalg.solve(covariance, rows), rtol=1e-5)
 
 
@@ -39,13 +39,14 @@ def test_at_a_bound_half_a_parabola_is_integrated(slope, curvature):
 
 def lowest(shape: str):
     """A table, its Jacobian, and the residual and weights at the minimum of F."""
-    t, residual = table(shape), 0.4 * point(shape)[0]
-    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
+    t, residual, theta = table(shape), 0.4 * point(shape)[0], point(shape)[2]
+    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, len(theta)))
     for _ in range(40):
-        found = evaluate(t, residual, jacobian, PHI, w)
-        residual = residual - jacobian @ np.linalg.solve(found.curvature, -found.gradient)
+        found = evaluate(t, residual, jacobian, PHI, w, theta)
+        gradient = found.gradient - found.by_covariance
+        residual = residual - jacobian @ np.linalg.solve(found.curvature, -gradient)
         w = em_weights(t, found.by_log_w, w)
-    return t, jacobian, residual, w
+    return t, jacobian, residual, w, theta
 
 
 @pytest.mark.parametrize("shape", ["two microphones", "ten nodes", "nothing absent"])
@@ -54,21 +55,22 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
 
     The curvature by θ alone is Gauss-Newton, which has its own test.
     """
-    t, jacobian, residual, w = lowest(shape)
-    known = evaluate(t, residual, jacobian, PHI, w).curvature
+    t, jacobian, residual, w, theta = lowest(shape)
+    size = len(theta)
+    known = evaluate(t, residual, jacobian, PHI, w, theta).curvature
     where = tuple(np.argwhere(np.asarray(t.detected) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 
     def F(x: np.ndarray) -> float:
         weights = w.copy()
-        weights[where] *= np.exp(x[7:])
-        return dense(plain, residual - jacobian @ x[:3], PHI + x[3:7], weights)
+        weights[where] *= np.exp(x[size + 5 :])
+        return dense(plain, residual - jacobian @ x[:size], PHI + x[size : size + 5], weights, theta)
 
-    H = hessian(F, 7 + len(where[0]))
-    for hyper in (1, 4):
-        rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
-        cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
-        found, volume = marginalise_nuisances(t, residual, jacobian, PHI, w, hyper)
+    H = hessian(F, size + 5 + len(where[0]))
+    for hyper in (1, 5):
+        nuisances = np.r_[size : size + hyper, size + 5 : len(H)]
+        rest, cross = H[np.ix_(nuisances, nuisances)], H[nuisances, :size]
+        found, volume = marginalise_nuisances(t, residual, jacobian, PHI, w, theta, hyper)
         np.testing.assert_allclose(found, known - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4)
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
         # Unknown φ and w lower the precision of θ.

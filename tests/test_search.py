@@ -55,7 +55,7 @@ def of_levels() -> Objective:
 
 
 def wide() -> np.ndarray:
-    """φ before any residual is known [4]."""
+    """φ before any residual is known [5]."""
     return initial_hyperparameters(problem().observed.level)
 
 

@@ -1,10 +1,10 @@
-"""The velocity discrepancy: deviations between strokes, separated from measurement errors."""
+"""Random walks over velocity, separated from measurement errors."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pianofit.result.notes import UNINFORMATIVE_ERROR, smooth_random_walk, stroke_deviations
+from pianofit.modal_response.random_walks import smooth_random_walk
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -37,30 +37,3 @@ def test_what_strokes_do_not_tell_apart_stays_their_mean():
     assert np.abs(np.diff(found, axis=0)).max() < 0.1
     one = smooth_random_walk(observed[:1], np.full((1, 40), 0.2), velocity[:1])
     np.testing.assert_allclose(one, observed[:1])
-
-
-def test_what_all_strokes_have_is_none_of_their_differences():
-    """It belongs to the output path. A partial observed in one stroke only has no deviation."""
-    velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
-    error, weight = np.full(walk.shape, 0.1), np.ones(walk.shape)
-    np.testing.assert_allclose(stroke_deviations(walk, error, weight, velocity)[1], 0.0, atol=1e-9)
-    _, wanders, _ = drawn_walks(0.3, 0.0, 0.0, 2)
-    error[1:, :7], weight[1:, :7] = UNINFORMATIVE_ERROR, 0.0
-    velocities, found = stroke_deviations(wanders, error, weight, velocity)
-    np.testing.assert_allclose(velocities, velocity)
-    np.testing.assert_allclose(found[:, :7], 0.0, atol=1e-3)
-    assert np.abs(found[:, 7:]).max() > 0.1
-    np.testing.assert_allclose(found[:, 7:].mean(axis=0), 0.0, atol=1e-12)
-
-
-def test_recordings_of_one_stroke_count_together_in_any_order():
-    velocity, walk, observed = drawn_walks(0.3, 0.03, 0.05, 5)
-    twice = np.append(np.arange(5), 2)
-    error, weight = np.full((6, 40), 0.05), np.ones((6, 40))
-    velocities, found = stroke_deviations(observed[twice], error, weight, velocity[twice])
-    np.testing.assert_allclose(velocities, velocity)
-    shuffled = np.random.default_rng(1).permutation(6)
-    again = stroke_deviations(observed[twice][shuffled], error, weight, velocity[twice][shuffled])
-    np.testing.assert_allclose(again[1], found, atol=1e-12)
-    # Two equal recordings of a layer reduce its error.
-    assert np.abs(found - (walk - walk.mean(axis=0))).max() < 0.3

@@ -2,8 +2,9 @@
 
 Let s = C⁻¹r at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
 one entry it changes by ½ (C⁻¹_ii - s_i²). By the covariance of a path it changes by ½ (N - Σ UᵀU - s sᵀ), summed over
-its recordings. A censored partial adds -log Φ(z), z = (bound - m)/√V. All three changes also move its mean m and its
-variance V.
+its recordings. By the covariance ρ² W of the recordings of one partial it changes by ½ (C⁻¹ - s sᵀ), summed over
+partials. From this follow the derivatives by ρ and by the velocities. A censored partial adds -log Φ(z),
+z = (bound - m)/√V. All changes also move its mean m and its variance V.
 
 By the log-weights x the Hessian has a closed form in P = C⁻¹: a weight changes one entry of C's diagonal,
 ∂C/∂x_i = -v_i, v = var/w. At one node
@@ -30,10 +31,10 @@ from .likelihood import (
     NodeSolutions,
     ObservationTable,
     before_columns,
+    centring,
     combine_nodes,
     interference_db,
     node_weights,
-    path_mean,
     predicted,
     solve_nodes,
     variance,
@@ -49,44 +50,60 @@ class Evaluation(NamedTuple):
     nll: np.ndarray
     gradient: np.ndarray  # by θ [n]
     curvature: np.ndarray  # Gauss-Newton, by θ [n, n]
-    by_phi: np.ndarray  # gradient [4]
+    by_phi: np.ndarray  # gradient [5]
     by_log_w: np.ndarray  # gradient [R, K]
+    by_covariance: np.ndarray  # part of `gradient` through the walk's covariance [n]
 
 
 def evaluate_batch(
-    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
 ) -> Evaluation:
     """`evaluate` at many points [B, ...]."""
-    points = [evaluate(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
+    points = [evaluate(table, *point) for point in zip(residual, jacobian, phi, w, theta, strict=True)]
     if not points:
         size = jacobian.shape[-1]
-        return Evaluation(*(np.zeros((0, *shape)) for shape in ((), (size,), (size, size), (4,), residual.shape[1:])))
+        shapes = (), (size,), (size, size), phi.shape[1:], residual.shape[1:], (size,)
+        return Evaluation(*(np.zeros((0, *shape)) for shape in shapes))
     return Evaluation(*(np.array(column) for column in zip(*points, strict=True)))
 
 
 def evaluate(
-    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
 ) -> Evaluation:
     """F at one point, its gradient by all unknowns, and its Gauss-Newton curvature by θ, averaged over nodes.
 
     Parameters
     ----------
-    residual, jacobian, phi, w : [R, K], derivatives of the model [R, K, n], [4], [R, K].
+    residual, jacobian, phi, w, theta : [R, K], derivatives of the model [R, K, n], [5], [R, K], [n].
     """
-    point = _Point.at(table, residual, phi, w)
+    point = _Point.at(table, residual, phi, w, theta)
     by_variance, censored = _by_variance(point)
     by_path, (matern, by_length) = _by_path(point), point.nodes.factors.matern
     excess, others = 2 * np.exp(2 * phi[0]) * table.variance_profile, 2 * interference_db(table, phi) ** 2
     by_noise = by_variance / w + censored
     by_path = 2 * (by_path * matern).sum(), (by_path * by_length).sum()
-    by_phi = np.array([(by_noise * excess).sum(), *by_path, (by_noise * others).sum()])
+    by_walk, by_velocity = _by_walk(point, theta)
+    by_phi = np.array([(by_noise * excess).sum(), *by_path, (by_noise * others).sum(), by_walk])
     mean, sd = table.prior
     by_log_w = 0.5 * table.degrees_of_freedom * (w - 1) - variance(table, phi, w) * by_variance
+    gradient, curvature = _by_theta(point, jacobian)
     return Evaluation(
         combine_nodes(table, point.nodes.nll_per_node, phi, w),
-        *_by_theta(point, jacobian),
+        gradient + by_velocity,
+        curvature,
         by_phi + (phi - mean) / sd**2,
         table.detected * by_log_w,
+        by_velocity,
     )
 
 
@@ -98,16 +115,25 @@ class _Point(NamedTuple):
     weight: np.ndarray  # of the nodes [T, M]
     sensitivity: np.ndarray  # derivatives of the censored entries' means by the residual [T, M, N, R, K]
     mills: np.ndarray  # minus the slope of -log Φ at the standardised bounds: φ(z)/Φ(z) [T, M, N]
+    log_walk: float  # log ρ
 
     @classmethod
-    def at(cls, table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> _Point:
-        nodes = solve_nodes(table, residual, phi, w)
+    def at(
+        cls, table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray, theta: np.ndarray
+    ) -> _Point:
+        nodes = solve_nodes(table, residual, phi, w, theta)
         p, censored, z = nodes.factors, nodes.censored, nodes.standardised
-        path = p.relative_precision * (table.group @ censored.cross_gain.swapaxes(1, 2))
         columns = censored.loading.swapaxes(2, 3) @ p.U.reshape(*p.U.shape[:3], -1)
-        sensitivity = path[:, None] + columns.reshape(*columns.shape[:3], *residual.shape)
+        sensitivity = censored.gain[:, None] + columns.reshape(*columns.shape[:3], *residual.shape)
         mills = np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
-        return cls(table, nodes, node_weights(table, nodes.nll_per_node), sensitivity, mills)
+        return cls(table, nodes, node_weights(table, nodes.nll_per_node), sensitivity, mills, phi[4])
+
+    @property
+    def unexplained(self) -> np.ndarray:
+        """Part of each censored entry that its conditional mean does not follow [T, M, N, R, K]."""
+        out = -self.sensitivity
+        out[:, :, np.arange(out.shape[2]), self.table.censored[:, 0], self.table.censored[:, 1]] += 1.0
+        return out
 
     @property
     def by_mean(self) -> np.ndarray:
@@ -122,7 +148,7 @@ class _Point(NamedTuple):
 
 def _by_theta(point: _Point, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient [n] and curvature [n, n]; θ moves the mean of a censored partial but not its bound."""
-    table, s, weight, sensitivity, mills = point
+    table, s, weight, sensitivity, mills, _ = point
     p, size = s.factors, jacobian.shape[-1]
     flat = jacobian.reshape(-1, size)
     before = before_columns(table, p, np.moveaxis(jacobian, -1, 0))
@@ -140,9 +166,9 @@ def _by_theta(point: _Point, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _by_variance(point: _Point) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives by the variance of each detected entry and of each censored entry [R, K]."""
-    table, s, weight, sensitivity, _ = point
+    table, s, weight, sensitivity, *_ = point
     p = s.factors
-    own = p.precision * (1 - p.relative_precision)
+    own = np.diagonal(p.precision, axis1=1, axis2=2).T - p.precision_sum * p.relative_precision
     path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
     detected = 0.5 * ((table.group @ path) * p.relative_precision**2 + own)
     detected -= 0.5 * np.tensordot(weight, (p.U**2).sum(axis=2) + s.precision_residual**2, 2)
@@ -158,7 +184,7 @@ def _by_variance(point: _Point) -> tuple[np.ndarray, np.ndarray]:
 
 def _by_path(point: _Point) -> np.ndarray:
     """Derivative by the covariance of the unknown paths, summed over paths [K, K]."""
-    table, s, weight, sensitivity, _ = point
+    table, s, weight, sensitivity, *_ = point
     p, K, unknown = s.factors, len(table.distance_octaves), table.has_unknown_path
 
     def square(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -170,14 +196,34 @@ def _by_path(point: _Point) -> np.ndarray:
     shared = 0.5 * square(weight[..., None, None, None] * u, u)
     out -= shared + 0.5 * square(weight[..., None, None] * by_group, by_group)
     if sensitivity.shape[2]:
-        # Part of the path of a censored partial that its conditional mean does not follow.
-        remaining = -(table.group.T @ sensitivity)
-        n = np.arange(sensitivity.shape[2])
-        remaining[:, :, n, :, table.censored[:, 1]] += table.group[table.censored[:, 0]][:, None, None]
+        remaining = table.group.T @ point.unexplained
         through_mean = (point.by_mean[:, :, None] @ remaining.reshape(*remaining.shape[:3], -1)).reshape(by_group.shape)
         out += square(weight[..., None, None] * through_mean, by_group)
         out += square((weight[..., None] * point.by_variance)[..., None, None] * remaining, remaining)
     return out
+
+
+def _by_walk(point: _Point, theta: np.ndarray) -> tuple[float, np.ndarray]:
+    """Derivatives by log ρ, and by θ through the velocities [n]."""
+    table, s, weight, *_ = point
+    p = s.factors
+    path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
+    # Derivative by ρ² W, between recordings of one path [R, R].
+    out = p.precision.sum(axis=0) - p.relative_precision @ p.precision_sum.T
+    out += ((table.group @ path) * p.relative_precision) @ p.relative_precision.T
+    out -= np.einsum("tm,tmqrk,tmqsk->rs", weight, p.U, p.U, optimize=True)
+    out -= np.einsum("tm,tmrk,tmsk->rs", weight, s.precision_residual, s.precision_residual, optimize=True)
+    out *= 0.5
+    if point.sensitivity.shape[2]:
+        remaining, by_mean = point.unexplained, weight[..., None] * point.by_mean
+        out += np.einsum("tmn,tmnrk,tmsk->rs", by_mean, remaining, s.precision_residual, optimize=True)
+        by_variance = weight[..., None] * point.by_variance
+        out += np.einsum("tmn,tmnrk,tmnsk->rs", by_variance, remaining, remaining, optimize=True)
+    log_velocity, centred = table.velocity @ theta, centring(table)
+    by_distance = centred.T @ (out + out.T) @ centred * (table.group @ table.group.T)
+    faster = np.sign(log_velocity[:, None] - log_velocity)
+    slope = -0.5 * np.exp(2 * point.log_walk) * (by_distance * faster).sum(axis=1)
+    return float(2 * (out * p.walk).sum()), slope @ table.velocity
 
 
 class LatentPosterior(NamedTuple):
@@ -185,27 +231,31 @@ class LatentPosterior(NamedTuple):
 
     path: np.ndarray  # a [G, K]
     columns: np.ndarray  # Σ c_q B_q [R, K]
+    discrepancy: np.ndarray  # d [R, K]
     residual: np.ndarray  # e [R, K]
-    variance: np.ndarray  # of a + Σ c B at each entry [R, K]
+    variance: np.ndarray  # of a + Σ c B + d at each entry [R, K]
 
 
-def latent_posterior(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> LatentPosterior:
-    """Posterior means at φ and w, averaged over nodes."""
-    s = solve_nodes(table, residual, phi, w)
+def latent_posterior(
+    table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray, theta: np.ndarray
+) -> LatentPosterior:
+    """Posterior means at φ, w and θ, averaged over nodes."""
+    s = solve_nodes(table, residual, phi, w, theta)
     weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
-    mean = path_mean(table, p, residual - columns)
-    common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
-    own = residual - table.group @ common - columns
+    common = ((table.group.T @ s.precision_residual)[..., None, :] @ p.prior[:, None])[..., 0, :]
+    discrepancy = p.walk @ s.precision_residual
+    own = residual - table.group @ common - columns - discrepancy
     entries = np.argwhere(np.ones(residual.shape))
-    posterior_variance = predicted(table, p, path_mean(table, p, residual), s.q, entries).variance
+    posterior_variance = predicted(table, p, residual, s.q, entries).variance
     posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
-    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, posterior_variance)))
+    parts = common, columns, discrepancy, own, posterior_variance
+    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in parts))
 
 
 def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
     """C⁻¹ of all entries at every node, 0 where no partial was detected [T, M, RK, RK]."""
-    shape, count = p.precision.shape, p.precision.size
+    shape, count = p.relative_precision.shape, p.relative_precision.size
     unit = np.eye(count).reshape(count, *shape)
     before = before_columns(table, p, unit).reshape(-1, 1, count, count)
     u = p.U.reshape(*p.U.shape[:3], count)
@@ -213,20 +263,28 @@ def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
 
 
 def marginalise_nuisances(
-    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, hyper: int
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
+    hyper: int,
 ) -> tuple[np.ndarray, float]:
     """Curvature by θ with the first `hyper` of φ and all log-weights integrated out [size, size], and their log volume.
 
-    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton.
+    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
+    is that of the velocities at θ.
     """
     detected, step = np.asarray(table.detected) > 0, 1e-4
-    cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
-    r, J, ws = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w))
-    found = evaluate_batch(table, r, J, phi + step * np.eye(hyper + 1, len(phi), -1), ws)
+    cross, by_weights = _by_weights(table, residual, jacobian, phi, w, theta)
+    r, J, ws, thetas = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w, theta))
+    found = evaluate_batch(table, r, J, phi + step * np.eye(hyper + 1, len(phi), -1), ws, thetas)
     curvature = found.curvature[0]
     by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
     by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / step
-    cross = np.concatenate([(found.gradient[1:] - found.gradient[0]) / step, cross])
+    gradient = found.gradient - found.by_covariance
+    cross = np.concatenate([(gradient[1:] - gradient[0]) / step, cross])
     nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
     value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
     value = np.maximum(value, 1e-8 * value.max())  # smaller ones are rounding
@@ -243,12 +301,17 @@ def marginalise_nuisances(
 
 
 def _by_weights(
-    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """F's second derivatives by log w of the n detected entries: with θ [n, size], and with log w [n, n]."""
     at = np.flatnonzero(np.asarray(table.detected))
     J, bound = jacobian.reshape(-1, jacobian.shape[-1])[at], jacobian[tuple(table.censored.T)]
-    point = _Point.at(table, residual, phi, w)
+    point = _Point.at(table, residual, phi, w, theta)
     inverse, v = dense_inverse(table, point.nodes.factors), variance(table, phi, w).ravel()[at]
     cross, hessian = np.zeros((len(at), J.shape[1])), np.diag(0.5 * float(table.degrees_of_freedom) * w.ravel()[at])
     slopes = []

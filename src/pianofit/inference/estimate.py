@@ -17,6 +17,7 @@ from ..threads import one_blas_thread
 from .batched_model import LevelModel
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
+from .likelihood import walk_covariance
 from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
 from .objective import Candidates, Objective, QuadraticSurrogate
 from .optimiser import Options, minimise, predicted_decrease
@@ -70,8 +71,11 @@ class InferenceResult:
 
     @property
     def excess(self) -> float:
-        """Excess standard deviation of the levels, dB."""
-        return float(np.exp(self.estimate.minima.candidates.level.phi[0, 0]))
+        """Standard deviation of the levels beyond noise, other sounds and path, dB: white excess and velocity walk."""
+        candidates, table = self.estimate.minima.candidates, self.problem.observed.level
+        phi = candidates.level.phi[0]
+        walk = np.exp(2 * phi[4]) * np.trace(walk_covariance(table, candidates.theta[0])) / len(table.velocity)
+        return float(np.sqrt(np.exp(2 * phi[0]) + walk))
 
     def alternative_interval(self, name: str) -> Interval | None:
         """Interval of a parameter by the other method, if there is one."""
@@ -85,7 +89,8 @@ class InferenceResult:
         """Posterior means of what F integrates out of the levels, at one minimum: paths, columns and residuals."""
         level = self.estimate.minima.candidates.level
         table = self.problem.observed.level
-        return latent_posterior(table, level.residual[minimum], level.phi[minimum], level.w[minimum])
+        theta = self.estimate.minima.candidates.theta[minimum]
+        return latent_posterior(table, level.residual[minimum], level.phi[minimum], level.w[minimum], theta)
 
     @cached_property
     def reference_hammer_level(self) -> np.ndarray:
@@ -108,7 +113,8 @@ class InferenceResult:
         if not len(candidates):
             return np.full(table.value.shape, -300.0)  # no contact ends
         best = candidates.level
-        return np.asarray(table.value) - latent_posterior(table, best.residual[0], best.phi[0], best.w[0]).residual
+        latent = latent_posterior(table, best.residual[0], best.phi[0], best.w[0], candidates.theta[0])
+        return np.asarray(table.value) - latent.residual - latent.discrepancy
 
 
 @one_blas_thread()
@@ -230,7 +236,7 @@ def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w
 
     Parameters
     ----------
-    theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [4] and [R, K].
+    theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [5] and [R, K].
 
     Raises
     ------

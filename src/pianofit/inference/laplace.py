@@ -26,7 +26,7 @@ from .derivatives import marginalise_nuisances
 from .objective import Candidates, Objective
 
 # Number of unknown hyperparameters φ of the tables of levels, frequencies and decays.
-HYPER = (4, 1, 1)
+HYPER = (5, 3, 3)
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
 FLAT = 1e-8
 
@@ -185,7 +185,7 @@ def _precision(objective: Objective, candidates: Candidates, i: int) -> tuple[np
     """Precision of θ [size, size] with φ and w of all tables integrated out, and the log determinant of their part."""
     precision, log_det = objective.prior(candidates.theta)[2], 0.0
     for term, part, hyper in zip(objective.terms, candidates.parts, HYPER, strict=True):
-        point = part.residual[i], part.jacobian[i], part.phi[i], part.w[i]
+        point = part.residual[i], part.jacobian[i], part.phi[i], part.w[i], candidates.theta[i]
         curvature, volume = marginalise_nuisances(term.table, *point, hyper)
         precision, log_det = precision + curvature, log_det + volume
     return precision, log_det

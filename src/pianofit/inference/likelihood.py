@@ -1,12 +1,15 @@
 """The one objective: minus the log marginal posterior of tables of partials.
 
-    y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + e[r,k]
-    c ~ N(0, S²)      a_g ~ N(0, A² M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
+    y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + d[r,k] + e[r,k]
+    c ~ N(0, S²)      a_g ~ N(0, A² √uuᵀ M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
+    d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings of a path
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
-string's own deviation from its model, a systematic error of the analysis. The columns B describe what one recording has
-alone: gain, onset, pitch. Both are integrated out in closed form. Student's t is a scale mixture, whose log-weights w
-are unknowns like the others. Reweighting is therefore descent on the same function:
+string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one
+recording has alone: gain, onset, pitch. The d describe how a partial deviates from the model in strokes of similar
+velocity; ρ is the size of the walk over an e-fold of velocity. All three are integrated out in closed form. Student's t
+is a scale mixture, whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same
+function:
 
     F = ½ rᵀC⁻¹r + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
 
@@ -14,13 +17,14 @@ Undetected partials are censored: the predictive distribution of each, given all
 of its band. One velocity alone does not determine τ. τ, and whether recordings share a gain, are summed over the nodes
 of their priors, for any number of recordings.
 
-C is never formed. The recordings determine only the weighted mean of an output path, x̄ = Σ_r d x / D. Here d = w/var,
-and D = Σ_r d over the recordings of the path. Deviations from the mean do not depend on the path. Before the columns,
+C is never formed. Without path and columns, C has one block E_k = ρ² W + diag(var/w) for each partial. With P = E_k⁻¹,
+the recordings determine only the weighted mean of an output path, x̄ = 1ᵀP x / D, D = 1ᵀP 1 over the recordings of the
+path. Deviations from the mean do not depend on the path. Before the columns,
 
-    C₀⁻¹x = d (x - x̄) + d/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
+    C₀⁻¹x = P (x - x̄) + P1/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
 
 and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N depends on τ, and only S
-on the gains.
+on the gains. P depends on the velocities through W, and its derivative by them is part of F's gradient.
 
 The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. The search
 has its derivatives in closed form (derivatives.py).
@@ -68,20 +72,23 @@ class ObservationTable(NamedTuple):
     scale: Values  # S, prior standard deviations of their coefficients [M, Q]
     systematic: Values  # S [K, K]
     distance_octaves: Values  # distance of partials, octaves [K, K]
-    has_unknown_path: Values  # 1 where the group's path is unknown [G]
+    has_unknown_path: Values  # 1 where the group has an unknown path, or the string deviates from its model [G]
     log_tau: Values  # log τ [T, G]
     log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
-    variance_profile: Values  # u, of σ² [K]
+    variance_profile: Values  # u, of σ² and A² [K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
+    velocity: Values  # derivative of each recording's log velocity by θ, 1 or 0 [R, size]
     degrees_of_freedom: Values  # ν
 
 
 class CovarianceFactors(NamedTuple):
     """Factors of C at φ and w."""
 
-    precision: Values  # d [R, K]; 0 where no partial was detected
-    relative_precision: Values  # d/D [R, K]
+    precision: Values  # P of each partial [K, R, R]; 0 where no partial was detected
+    precision_sum: Values  # P1 [R, K]
+    relative_precision: Values  # P1/D [R, K]
+    walk: Values  # ρ² W [R, R]
     matern: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [K, K]
     prior: Values  # A [T, G, K, K]
     path: Values  # N [T, G, K, K]
@@ -114,41 +121,71 @@ def interference_db(table: ObservationTable, phi: Values, xp: Space = np) -> Val
 
 
 def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> Values:
-    """var/w [R, K]; φ = (log σ, log A, log ℓ, log η)."""
+    """var/w [R, K]; φ = (log σ, log A, log ℓ, log η, log ρ)."""
     return (table.variance + xp.exp(2 * phi[0]) * table.variance_profile + interference_db(table, phi, xp) ** 2) / w
 
 
 def _matern(table: ObservationTable, phi: Values, xp: Space = np) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [K, K]."""
     d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[2])
-    decay = xp.exp(2 * phi[1] - d)
+    growth = xp.sqrt(table.variance_profile)
+    decay = xp.exp(2 * phi[1] - d) * growth[:, None] * growth
     return (1 + d) * decay, d**2 * decay
 
 
-def factor_covariance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> CovarianceFactors:
-    """Factor the covariance at φ and w."""
+def centring(table: ObservationTable) -> Values:
+    """Projection that removes the mean over the recordings of each path [R, R]."""
+    same_path = table.group @ table.group.T
+    return np.eye(len(same_path)) - same_path / same_path.sum(axis=1)
+
+
+def walk_covariance(table: ObservationTable, theta: Values, xp: Space = np) -> Values:
+    """W: covariance of a random walk over log velocity without its mean [R, R]; recordings of two paths have none.
+
+    The increments of the walk have the variance |log v_r - log v_s|. Without the mean, its start has no effect.
+    """
+    log_velocity, centred = table.velocity @ theta, centring(table)
+    distance = xp.abs(log_velocity[:, None] - log_velocity) * (table.group @ table.group.T)
+    return -0.5 * centred @ distance @ centred.T
+
+
+def by_partial(blocks: Values, x: Values) -> Values:
+    """Product of one matrix for each partial [K, R, R] and x [n, R, K]."""
+    return (blocks @ x.transpose(2, 1, 0)).transpose(2, 1, 0)
+
+
+def factor_covariance(
+    table: ObservationTable, phi: Values, w: Values, theta: Values, xp: Space = np
+) -> CovarianceFactors:
+    """Factor the covariance at φ, w and the velocities in θ."""
     entry_variance = variance(table, phi, w, xp)
-    precision = table.detected / entry_variance
-    total = table.group.T @ precision
-    detected = total > 0
+    walk = xp.exp(2 * phi[4]) * walk_covariance(table, theta, xp)
+    root = (table.detected / xp.sqrt(entry_variance)).T
+    whitening = _whitening(xp.eye(len(walk)) + root[:, :, None] * walk * root[:, None, :], xp)
+    half_log_det = _half_log_det(whitening, xp).sum() + 0.5 * (table.detected * xp.log(entry_variance)).sum()
+    whitening = whitening * root[:, None, :]
+    precision = xp.swapaxes(whitening, 1, 2) @ whitening
+    precision_sum = precision.sum(axis=2).T
+    total = table.group.T @ precision_sum
+    detected = (table.group.T @ table.detected) > 0
     eye = xp.eye(len(table.distance_octaves))
     matern = _matern(table, phi, xp)
     prior = table.has_unknown_path[:, None, None] * matern[0] + table.systematic
     prior = prior + (xp.exp(2 * table.log_tau)[..., None, None] + JITTER) * eye
     root = xp.where(detected, xp.sqrt(xp.where(detected, total, 1.0)), 0.0)
     whitening = _whitening(eye + root[:, :, None] * prior * root[:, None, :], xp)
-    half_log_det = _half_log_det(whitening, xp).sum(axis=1) + 0.5 * (table.detected * xp.log(entry_variance)).sum()
+    half_log_det = half_log_det + _half_log_det(whitening, xp).sum(axis=1)
     whitening = whitening * root[:, None, :]
     path = xp.swapaxes(whitening, -1, -2) @ whitening
-    relative = precision / (table.group @ xp.where(detected, total, 1.0))
-    p = CovarianceFactors(precision, relative, matern, prior, path, None, None, half_log_det)
+    relative = precision_sum / (table.group @ xp.where(detected, total, 1.0))
+    p = CovarianceFactors(precision, precision_sum, relative, walk, matern, prior, path, None, None, half_log_det)
 
     size = table.scale.shape[1]
     columns = before_columns(table, p, table.columns).reshape(len(prior), 1, size, -1)
     inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
     whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
     root = whitening * table.scale[:, None, :]
-    U = (root @ columns).reshape(*root.shape[:3], *precision.shape)
+    U = (root @ columns).reshape(*root.shape[:3], *entry_variance.shape)
     return p._replace(root=root, U=U, half_log_det=half_log_det[:, None] + _half_log_det(whitening, xp))
 
 
@@ -161,31 +198,34 @@ def before_columns(table: ObservationTable, p: CovarianceFactors, x: Values) -> 
     """C₀⁻¹x [T, n, R, K] of x [n, R, K]."""
     mean = path_mean(table, p, x)
     weighted = (mean.swapaxes(0, 1) @ p.path).swapaxes(1, 2)
-    return p.precision * (x - table.group @ mean) + p.relative_precision * (table.group @ weighted)
+    return by_partial(p.precision, x - table.group @ mean) + p.relative_precision * (table.group @ weighted)
 
 
 class Predicted(NamedTuple):
-    """Paths and columns of entries given all detected partials [T, M, N]."""
+    """Paths, walks and columns of entries given all detected partials [T, M, N]."""
 
     mean: Values
     variance: Values
-    cross_gain: Values  # A N: derivative of a path by the mean of its recordings [T, G, N, K]
+    gain: Values  # derivative of path and walk by the residuals, without the columns [T, N, R, K]
     loading: Values  # ρ: the coefficients' part of each entry, in units of L [T, M, Q, N]
 
 
-def predicted(table: ObservationTable, p: CovarianceFactors, mean: Values, q: Values, at: Values) -> Predicted:
-    """Predict entries `at` [N, 2]; `mean` is the residual's x̄ [G, K], q = U r [T, M, Q]."""
+def predicted(table: ObservationTable, p: CovarianceFactors, residual: Values, q: Values, at: Values) -> Predicted:
+    """Predict entries `at` [N, 2] from the residual [R, K] and q = U r [T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
-    group = table.group[r].T
-    rows = p.prior[:, :, k]
-    cross_gain = group[:, :, None] * (rows @ p.path)
-    explained = (cross_gain * rows).sum(axis=(1, 3))
-    remaining = (group * p.prior[:, :, k, k]).sum(axis=1) - explained
-    flat = cross_gain.swapaxes(1, 2).reshape(len(cross_gain), len(k), mean.size)
-    columns = flat @ path_mean(table, p, table.columns).reshape(-1, mean.size).T
+    group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[1])
+    rows = group[:, :, None] * p.prior[:, :, k]
+    walk = p.walk[r][:, :, None] * same_partial[:, None, :]
+    # Covariance of path and walk of the entries with those of all entries [T, N, R, K].
+    shared = (table.group @ rows.swapaxes(1, 2)) + walk
+    gain = p.relative_precision * (table.group @ (rows @ p.path).swapaxes(1, 2)) + before_columns(table, p, walk)
+    prior = (group * p.prior[:, :, k, k]).sum(axis=1) + p.walk[r, r]
+    remaining = prior - (shared * gain).sum(axis=(2, 3))
+    flat = gain.reshape(*gain.shape[:2], residual.size)
+    columns = flat @ table.columns.reshape(len(table.columns), -1).T
     loading = p.root @ (table.columns[:, r, k] - columns.swapaxes(1, 2))[:, None]
-    conditional_mean = (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0]
-    return Predicted(conditional_mean, remaining[:, None] + (loading**2).sum(axis=2), cross_gain, loading)
+    conditional_mean = (flat @ residual.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0]
+    return Predicted(conditional_mean, remaining[:, None] + (loading**2).sum(axis=2), gain, loading)
 
 
 class NodeSolutions(NamedTuple):
@@ -200,18 +240,21 @@ class NodeSolutions(NamedTuple):
     conditional_sd: Values  # these standard deviations, dB
 
 
-def solve_nodes(table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np) -> NodeSolutions:
+def solve_nodes(
+    table: ObservationTable, residual: Values, phi: Values, w: Values, theta: Values, xp: Space = np
+) -> NodeSolutions:
     """F at every node, and its parts."""
-    p = factor_covariance(table, phi, w, xp)
+    p = factor_covariance(table, phi, w, theta, xp)
     before = before_columns(table, p, residual[None])[:, 0]
     U = p.U.reshape(*p.U.shape[:3], -1)
     q = U @ residual.reshape(-1)
     precision_residual = before[:, None] - (q[:, :, None] @ U).reshape(*q.shape[:2], *residual.shape)
     mean = path_mean(table, p, residual)
-    square = (p.precision * (residual - table.group @ mean) ** 2).sum()
+    deviation = (residual - table.group @ mean)[None]
+    square = (by_partial(p.precision, deviation) * deviation).sum()
     square = square + ((mean[:, None] @ p.path)[:, :, 0] * mean).sum(axis=(1, 2))
     at = table.censored
-    censored = predicted(table, p, mean, q, at)
+    censored = predicted(table, p, residual, q, at)
     entry_variance = variance(table, phi, xp.ones_like(residual), xp)
     sd = xp.sqrt(censored.variance + entry_variance[at[:, 0], at[:, 1]])
     standardised = (residual[at[:, 0], at[:, 1]] - censored.mean) / sd
@@ -228,7 +271,7 @@ def node_weights(table: ObservationTable, nll_per_node: Values) -> Values:
 
 
 def pointwise(
-    table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np
+    table: ObservationTable, residual: Values, phi: Values, w: Values, theta: Values, xp: Space = np
 ) -> tuple[Values, Values]:
     """Log density of each detected entry given all others [R, K], and of each censored entry given these [N].
 
@@ -236,10 +279,10 @@ def pointwise(
     r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
     over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
-    s = solve_nodes(table, residual, phi, w, xp)
+    s = solve_nodes(table, residual, phi, w, theta, xp)
     p, detected = s.factors, table.detected > 0
-    path = xp.diagonal(p.path, axis1=2, axis2=3)
-    inverse = (table.group @ path) * p.relative_precision**2 + p.precision * (1 - p.relative_precision)
+    path, own = xp.diagonal(p.path, axis1=2, axis2=3), xp.diagonal(p.precision, axis1=1, axis2=2).T
+    inverse = (table.group @ path) * p.relative_precision**2 + own - p.precision_sum * p.relative_precision
     inverse = xp.where(detected, inverse[:, None] - (p.U**2).sum(axis=2), 1.0)
     density = 0.5 * (xp.log(inverse / (2 * np.pi)) - s.precision_residual**2 / inverse)
     log_below = (log_ndtr if xp is np else jax_log_ndtr)(s.standardised)
@@ -260,10 +303,11 @@ def objective(
     residual: Float[AnyArray, "R K"],
     phi: Float[AnyArray, " hyper"],
     w: Float[AnyArray, "R K"],
+    theta: Float[AnyArray, " size"],
     xp: Space = jnp,
 ) -> Values:
-    """F at a residual: y - model where a partial is detected, bound - model where it is censored."""
-    return combine_nodes(table, solve_nodes(table, residual, phi, w, xp).nll_per_node, phi, w, xp)
+    """F at a residual at θ: y - model where a partial is detected, bound - model where it is censored."""
+    return combine_nodes(table, solve_nodes(table, residual, phi, w, theta, xp).nll_per_node, phi, w, xp)
 
 
 def combine_nodes(table: ObservationTable, nll_per_node: Values, phi: Values, w: Values, xp: Space = np) -> Values:

@@ -159,9 +159,8 @@ def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list
 def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
     """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
-    surrogate = QuadraticSurrogate.of(
-        objective.problem.observed.level, best.level.phi[0], best.level.w[0], best.level.residual[0], gains
-    )
+    at = best.level.phi[0], best.level.w[0], best.level.residual[0], best.theta[0]
+    surrogate = QuadraticSurrogate.of(objective.problem.observed.level, *at, gains)
     fixed = objective.with_surrogate(surrogate)
     trials = fixed.start(points(best, surrogate), best.phi, best.w, best.offset)
     if not len(trials):

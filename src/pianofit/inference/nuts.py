@@ -306,7 +306,7 @@ def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
 def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
     at = jax.tree.map(jnp.asarray, at)
-    densities = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
+    densities = [pointwise(*term, jnp) for term in _terms(at, point, cfg)[2]]
     detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
     return *detected, densities[0][1]
 
@@ -330,7 +330,7 @@ def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, 
         # At its minimum, F has the curvature (ν + 1)/2 in log w of one entry.
         scale = jnp.sqrt(2 / (table.degrees_of_freedom + 1))
         change = jnp.zeros_like(w).at[index[:, 0], index[:, 1]].set(scale * y)
-        terms.append((table, r, hyper, w * jnp.exp(change)))
+        terms.append((table, r, hyper, w * jnp.exp(change), theta))
     return theta, ended, terms
 
 

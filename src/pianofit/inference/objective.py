@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -37,10 +37,10 @@ class TableState(NamedTuple):
 
     residual: np.ndarray  # [B, R, K]
     jacobian: np.ndarray  # derivatives of the model by θ [B, R, K, size]
-    phi: np.ndarray  # [B, 4]
+    phi: np.ndarray  # [B, 5]
     w: np.ndarray  # [B, R, K]
     derivatives: Evaluation
-    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 4, 4]
+    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 5, 5]
 
 
 @jax.tree_util.register_dataclass
@@ -59,7 +59,7 @@ class Candidates:
 
     @property
     def phi(self) -> tuple[np.ndarray, ...]:
-        """φ of every table [B, 4]."""
+        """φ of every table [B, 5]."""
         return tuple(part.phi for part in self.parts)
 
     @property
@@ -100,20 +100,23 @@ def select(mask: np.ndarray, one, other):
 
 
 class TableTerm(NamedTuple):
-    """F of one table by its residuals, φ and w."""
+    """F of one table by its residuals, φ, w and the velocities in θ."""
 
     table: ObservationTable
 
-    def evaluate(self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Evaluation:
+    def evaluate(
+        self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, theta: np.ndarray
+    ) -> Evaluation:
         """F and its derivatives [B, ...]."""
-        return evaluate_batch(self.table, residual, jacobian, phi, w)
+        return evaluate_batch(self.table, residual, jacobian, phi, w, theta)
 
-    def enter(self, state: TableState, sigma_floor: float) -> TableState:
+    def enter(self, state: TableState, theta: np.ndarray, sigma_floor: float) -> TableState:
         """Evaluate a state of any objective, with φ moved into its range."""
         phi = np.clip(state.phi, *self._phi_range(sigma_floor))
-        return state._replace(phi=phi, derivatives=self.evaluate(state.residual, state.jacobian, phi, state.w))
+        derivatives = self.evaluate(state.residual, state.jacobian, phi, state.w, theta)
+        return state._replace(phi=phi, derivatives=derivatives)
 
-    def step(self, state: TableState, sigma_floor: float) -> TableState:
+    def step(self, state: TableState, theta: np.ndarray, sigma_floor: float) -> TableState:
         """Step in φ by BFGS and in w by EM, taken where it lowers F."""
         lower, upper = self._phi_range(sigma_floor)
         slope = state.derivatives.by_phi
@@ -122,7 +125,7 @@ class TableTerm(NamedTuple):
         step = np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI)
         phi = np.clip(state.phi + step, lower, upper)
         w = em_weights(self.table, state.derivatives.by_log_w, state.w)
-        derivatives = self.evaluate(state.residual, state.jacobian, phi, w)
+        derivatives = self.evaluate(state.residual, state.jacobian, phi, w, theta)
         inverse = _bfgs(state.inverse, phi - state.phi, derivatives.by_phi - slope)
         trial = state._replace(phi=phi, w=w, derivatives=derivatives, inverse=inverse)
         return select(derivatives.nll < state.derivatives.nll, trial, state._replace(inverse=0.3 * state.inverse))
@@ -160,17 +163,21 @@ class QuadraticSurrogate(NamedTuple):
         phi: np.ndarray,
         w: np.ndarray | None = None,
         residual: np.ndarray | None = None,
+        theta: np.ndarray | None = None,
         gains: int | None = None,
     ) -> QuadraticSurrogate:
         """Build it at φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
 
         Parameters
         ----------
+        theta : θ with the velocities of the strokes. If None, all are equal: their covariance is 0.
         residual : if None, only the node of the middle τ is used, and the constant is that of a zero residual.
         gains : one node of the gains. If None, all are used, or the last without a residual.
         """
         ones = np.ones_like(table.value)
-        nodes = solve_nodes(table, 0 * ones if residual is None else residual, phi, ones if w is None else w)
+        residuals, weights = 0 * ones if residual is None else residual, ones if w is None else w
+        velocities = np.zeros(table.velocity.shape[1]) if theta is None else theta
+        nodes = solve_nodes(table, residuals, phi, weights, velocities)
         weight = node_weights(table, nodes.nll_per_node)
         if residual is None:
             weight = np.zeros_like(weight)
@@ -201,15 +208,16 @@ class QuadraticSurrogate(NamedTuple):
             0.5 * (weighted * r).sum(axis=1) + self.constant,
             -np.einsum("bi,bin->bn", weighted, J),
             np.array(curvature).reshape(count, size, size),
-            np.zeros((count, 4)),
+            np.zeros((count, len(self.table.prior[0]))),
             np.zeros_like(residual),
+            np.zeros((count, size)),
         )
 
-    def enter(self, state: TableState, _: float) -> TableState:
+    def enter(self, state: TableState, *_: Any) -> TableState:
         """Evaluate a state of any objective."""
         return state._replace(derivatives=self.evaluate(state.residual, state.jacobian))
 
-    def step(self, state: TableState, _: float) -> TableState:
+    def step(self, state: TableState, *_: Any) -> TableState:
         """Keep φ and w."""
         return state
 
@@ -274,13 +282,13 @@ class Objective:
         models, valid = self._residuals(theta, offset)
         parts = []
         for i, (term, (residual, jacobian)) in enumerate(zip(self.terms, models, strict=True)):
-            hyper = np.broadcast_to(phi[i], (len(theta), 4))[valid]
+            hyper = np.broadcast_to(phi[i], (len(theta), len(term.table.prior[0])))[valid]
             weights = np.broadcast_to(1.0 if w is None else w[i], residual.shape)[valid]
-            state = residual[valid], jacobian[valid], hyper, weights
+            state, at = (residual[valid], jacobian[valid], hyper, weights), theta[valid]
             # Every entry counts twice for σ; the other φ have their priors.
             sd = np.asarray(term.table.prior[1])
             inverse = np.diag([1 / (2 * float(term.table.detected.sum()) + 1 / sd[0] ** 2), *sd[1:] ** 2])
-            parts.append(TableState(*state, term.evaluate(*state), np.tile(inverse, (len(hyper), 1, 1))))
+            parts.append(TableState(*state, term.evaluate(*state, at), np.tile(inverse, (len(hyper), 1, 1))))
         state = np.full(valid.sum(), FIRST_DAMPING), np.full(valid.sum(), np.inf)
         return Candidates(theta[valid], offset[valid], tuple(parts), *state)
 
@@ -288,7 +296,7 @@ class Objective:
         """Evaluate other θ [B, size] with the same φ and w; also, whether contacts ended [B]."""
         models, valid = self._residuals(theta, candidates.offset)
         parts = tuple(
-            part._replace(residual=r, jacobian=J, derivatives=term.evaluate(r, J, part.phi, part.w))
+            part._replace(residual=r, jacobian=J, derivatives=term.evaluate(r, J, part.phi, part.w, theta))
             for term, part, (r, J) in zip(self.terms, candidates.parts, models, strict=True)
         )
         return replace(candidates, theta=theta, parts=parts), valid
@@ -300,12 +308,14 @@ class Objective:
     def enter(self, candidates: Candidates, sigma_floor: float) -> Candidates:
         """Evaluate candidates of any objective, with φ in its range and σ of the first table above `sigma_floor`."""
         parts = zip(self.terms, candidates.parts, (sigma_floor, 0.0, 0.0), strict=False)
-        return replace(candidates, parts=tuple(term.enter(part, floor) for term, part, floor in parts))
+        theta = candidates.theta
+        return replace(candidates, parts=tuple(term.enter(part, theta, floor) for term, part, floor in parts))
 
     def step_nuisances(self, candidates: Candidates, sigma_floor: float) -> Candidates:
         """Step in φ and w of every table; keep them on a surrogate."""
         parts = zip(self.terms, candidates.parts, (sigma_floor, 0.0, 0.0), strict=False)
-        return replace(candidates, parts=tuple(term.step(part, floor) for term, part, floor in parts))
+        theta = candidates.theta
+        return replace(candidates, parts=tuple(term.step(part, theta, floor) for term, part, floor in parts))
 
     def total(self, candidates: Candidates) -> np.ndarray:
         """F [B] of the tables and of the prior of the searched parameters."""

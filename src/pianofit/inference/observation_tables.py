@@ -56,7 +56,13 @@ class Observations:
 
 
 def observe(
-    analyses: Sequence[Analysis], layout: RecordingStructure, reference: int, unit: float, path: bool, gains: bool
+    analyses: Sequence[Analysis],
+    layout: RecordingStructure,
+    reference: int,
+    unit: float,
+    path: bool,
+    gains: bool,
+    shared: int,
 ) -> Observations:
     """The tables of recordings of one key.
 
@@ -65,6 +71,7 @@ def observe(
     reference : index of the reference recording.
     unit : the pickup's unit over full scale, dB.
     path, gains : true if the output path is unknown, and if its gain is.
+    shared : number of parameters in θ before the velocities.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
@@ -72,9 +79,10 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    level = _levels(analyses, layout, number, ref, unit, path, gains)
+    velocity = np.eye(shared + layout.strokes)[shared + np.array(layout.stroke)]
+    level = _levels(analyses, layout, number, ref, unit, path, gains, velocity)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
-    frequency, decay = _string_tables(analyses, detected, law, ref)
+    frequency, decay = _string_tables(analyses, detected, law, ref, 0 * velocity[:1])
     return Observations(number, level, frequency, decay, detected, law, cents)
 
 
@@ -114,6 +122,7 @@ def _levels(
     unit: float,
     path: bool,
     gains: bool,
+    velocity: np.ndarray,
 ) -> ObservationTable:
     tables = [a.partials for a in analyses]
     frequency = law_frequency(ref.f0, ref.B, number)
@@ -146,6 +155,7 @@ def _levels(
         variance_profile=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
+        velocity=velocity,
         degrees_of_freedom=np.float64(priors.STUDENT),
     )
 
@@ -172,7 +182,7 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
 
 
 def _string_tables(
-    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
+    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis, velocity: np.ndarray
 ) -> tuple[ObservationTable, ObservationTable]:
     """Frequencies, cents, and log decays, both over the reference's string model, of all recordings pooled as one.
 
@@ -190,10 +200,13 @@ def _string_tables(
         systematic = t.decay_systematic / np.outer(decay, decay)
         loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
-    glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
+    # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
+    # partials that beat. One recording does not show the scatter.
+    scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
+    common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), growth, glide, priors.FREQUENCY),
-        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * glide, priors.DECAY),
+        _string_table(law, *_pool_recordings(number, pitch), growth, common, priors.FREQUENCY, velocity),
+        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY, velocity),
     )
 
 
@@ -213,9 +226,11 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 
-def _string_table(law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> ObservationTable:
-    # Only the first of the four hyperparameters, the excess, is used here; the others stay at their priors.
-    mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
+def _string_table(
+    law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior, velocity: np.ndarray
+) -> ObservationTable:
+    # The first three hyperparameters are used here, excess and smooth deviation; the others stay at their priors.
+    mean = np.append(hyper.log_median, [NONE, NONE])
     ones = np.ones((1, len(value)))
     return ObservationTable(
         value=value[None],
@@ -227,11 +242,12 @@ def _string_table(law, value, variance, systematic, growth, columns, hyper: prio
         scale=np.ones((1, 1)),
         systematic=systematic,
         distance_octaves=_distance_octaves(law[0]),
-        has_unknown_path=np.zeros(1),
+        has_unknown_path=np.ones(1),
         log_tau=np.full((1, 1), NONE),
         log_weight=np.zeros((1, 1)),
         variance_profile=growth,
         ratio=0 * ones,
-        prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])),
+        prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
+        velocity=velocity,
         degrees_of_freedom=np.float64(priors.STUDENT),
     )

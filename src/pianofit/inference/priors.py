@@ -75,12 +75,14 @@ class Hyperprior(NamedTuple):
 
 
 # Levels: excess of a recording, dB; amplitude of the smooth path, dB, and its length, octaves; amplitude of other
-# sounds over the loudest partial (53 to 75 dB below it). τ is integrated over: see PATH.
-LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002), (0.7, 0.4, 0.4, 0.9))
-# Frequencies: excess over the string model, cents.
-FREQUENCY = Hyperprior((0.5,), (1.5,))
-# Decays: excess, relative to the string model.
-DECAY = Hyperprior((0.2,), (1.0,))
+# sounds over the loudest partial (53 to 75 dB below it); deviation of a partial from the hammer model that strokes of
+# similar velocity share, dB over an e-fold of velocity. τ is integrated over: see PATH.
+LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002, 1.0), (0.7, 0.4, 0.4, 0.9, 1.0))
+# Frequencies: excess over the string model, cents, from partial to partial; amplitude of the smooth deviation, cents,
+# and its length, octaves. Soundboard, windings and end supports make neighbouring partials deviate alike.
+FREQUENCY = Hyperprior((0.5, 0.5, 0.7), (1.5, 1.5, 0.4))
+# Decays: the same, relative to the string model.
+DECAY = Hyperprior((0.2, 0.2, 0.7), (1.0, 1.0, 0.4))
 # Partial from which windings and shear make a real string deviate from the string model.
 LAW_REACH = 10.0
 

@@ -150,7 +150,8 @@ def build_problem(
     if unnamed:
         measured[stroke] = setup.fixed["v_H0"]
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
+    path, gains, shared = start.unknown_path, start.scale is None, len(names_of(start.law))
+    observed = observe(analyses, structure, reference, scale, path, gains, shared)
     unknowns, inputs, cfg = _model(start, measured, observed, max(r.rate for r in recordings))
     if not unknowns.free.any():
         raise FitError("nothing is left to fit: [fixed] fixes all parameters; remove those that the fit should find")

@@ -41,7 +41,7 @@ FIRST_STEP = 0.5
 class _Point(NamedTuple):
     log: float  # of the fixed value
     logs: np.ndarray  # logarithms of all values [size]
-    phi: tuple[np.ndarray, ...]  # of every table [1, 4]
+    phi: tuple[np.ndarray, ...]  # of every table [1, 5]
     w: tuple[np.ndarray, ...]  # of every table [1, R, K]
     F: float
 

@@ -18,9 +18,9 @@ from ..model.modal_response import (
     VelocityGain,
     cancel_static_deflection,
 )
-from ..result.notes import UNINFORMATIVE_ERROR, smooth_random_walk
 from .aligned_layers import AlignedLayers
 from .modes import PartialModes, common_pattern
+from .random_walks import UNINFORMATIVE_ERROR, smooth_random_walk
 
 # Longest knock after the contact, s. A longer one hardly reduces the log-mel distance. The end of the shortest layer
 # also limits it.

@@ -23,7 +23,17 @@ STATUS = {  # status -> mark, explanation
     "not-identifiable": ("✕", "the recording does not determine it"),
 }
 # Name -> symbol, where they differ. Pages and pictures set the part after "_" as an index.
-SYMBOLS = {"kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b_1", "b2": "b_2", "x0": "x_0", "f0": "f_0"}
+SYMBOLS = {
+    "kappa": "κ",
+    "mu": "μ",
+    "skin": "s",
+    "epsilon": "ε",
+    "tau": "τ",
+    "b1": "b_1",
+    "b2": "b_2",
+    "x0": "x_0",
+    "f0": "f_0",
+}
 SYMBOLS["x0/L"] = "x_0/L"
 # Bands of the criterion of Bensa et al. (2005).
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}

@@ -122,7 +122,8 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
 
 def _diagnostics(fit: InferenceResult) -> Diagnostics:
     problem, minima = fit.problem, fit.estimate.minima
-    (sigma, smooth, octaves, floor), (cents, *_), (decay, *_) = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
+    (sigma, smooth, octaves, floor, walk), *strings = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
+    cents, decay = (float(np.hypot(*hyper[:2])) for hyper in strings)
     other: dict[str, Any] = {} if fit.alternative is None else fit.alternative.diagnostics
     where = ("diagnostics", "this is an error in pianofit")
     return Diagnostics(
@@ -137,6 +138,7 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
         excess_sd=ExcessSd(frequency_cents=cents, decay_relative=decay, level_db=sigma),
         path=PathPrior(smooth, octaves) if problem.path else None,
         interference_ratio=floor,
+        velocity_discrepancy_db=walk if len({*problem.structure.stroke}) > 1 else None,
         profile=convert(other["profile"], dict[str, ProfileCurve], *where) if "profile" in other else None,
         posterior=convert(other["posterior"], PosteriorDiagnostics, *where) if "posterior" in other else None,
     )

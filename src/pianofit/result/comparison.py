@@ -178,7 +178,7 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     start = fit.initial_theta.copy()
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = fit.level(start)
-    fitted = np.asarray(problem.observed.level.value) - integrated.residual
+    fitted = np.asarray(problem.observed.level.value) - integrated.residual - integrated.discrepancy
     reference_hammer = None if problem.calibrated else fit.reference_hammer_level
     compared = []
     for i, note in enumerate(notes):

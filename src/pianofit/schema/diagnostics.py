@@ -78,5 +78,6 @@ class Diagnostics:
     excess_sd: ExcessSd | None = None
     path: PathPrior | None = None
     interference_ratio: Number | None = None
+    velocity_discrepancy_db: Number | None = None  # ρ, over an e-fold of velocity; None with one stroke
     profile: dict[str, ProfileCurve] | None = None
     posterior: PosteriorDiagnostics | None = None
