@@ -12,7 +12,7 @@ from ..analysis import Analysis
 from ..errors import FitError, ParameterError
 from ..progress import Progress
 from ..recording.recording import Recording
-from ..setup import Setup
+from ..setup import Given, Setup
 from ..threads import one_blas_thread
 from .batched_model import LevelModel
 from .derivatives import LatentPosterior, latent_posterior
@@ -97,7 +97,8 @@ class InferenceResult:
         hammer = np.arange(u.size) < u.shared
         hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
         fixed = replace(u, mean=np.where(hammer, self.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
-        objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), theta[:STRING_SIZE])
+        string = u.model_entries(theta)[:STRING_SIZE]
+        objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), string)
         table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
         surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
@@ -117,7 +118,7 @@ def run_inference(
     analyses: Sequence[Analysis],
     setup: Setup | None = None,
     *,
-    velocity: float | None = None,
+    velocity: Given | None = None,
     intervals: str = "laplace",
     seed: int = 0,
     progress: Progress = lambda *_: None,

@@ -63,10 +63,10 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     recordings = np.flatnonzero(np.array(problem.structure.group) == group)
     detected = np.any(np.asarray(observed.level.detected)[recordings] > 0, axis=0)
     number = observed.number[detected]
-    frequency = string_law(candidates.theta[which, :STRING_SIZE], number, problem.initial_values.geometry.length)[0][0]
-    velocity = np.exp(candidates.theta[which, problem.parametrisation.shared :])[
-        np.array(problem.structure.stroke)[recordings]
-    ]
+    u, theta = problem.parametrisation, candidates.theta[which]
+    string = u.model_entries(theta)[:STRING_SIZE]
+    frequency = string_law(string, number, problem.initial_values.geometry.length)[0][0]
+    velocity = np.exp(theta[u.velocities])[np.array(problem.structure.stroke)[recordings]]
     residuals = _residuals(observed.level, candidates.level.phi[which], candidates.level.w[which], latent)
     residual, error, weight = (x[np.ix_(recordings, detected)] for x in residuals)
     velocities, db = stroke_deviations(residual / DB, error / DB, weight, velocity)

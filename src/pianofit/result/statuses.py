@@ -31,7 +31,7 @@ def statuses(fit: InferenceResult) -> dict[str, Status]:
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
     def status(i: int, name: str) -> Status:
-        if not u.free[i]:
+        if not u.free[i] or name in start.relative_sd and name != "width":
             return "assumed" if start.fixed.get(name) == "assumed" else "given"
         if at_bound[i]:
             return "at-bound"
@@ -63,7 +63,7 @@ def path_compared(fit: InferenceResult) -> bool:
 def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     """Ratio of the fastest to the slowest stroke: low end of its 95 % interval, value, high end."""
     u = fit.problem.parametrisation
-    low, ratio, high = np.exp(_fastest_over_slowest(fit, range(u.size - u.shared))).tolist()
+    low, ratio, high = np.exp(_fastest_over_slowest(fit, range(u.strokes))).tolist()
     return low, ratio, high
 
 
@@ -113,7 +113,7 @@ def velocity_statuses(fit: InferenceResult) -> list[Status]:
     else:
         unidentifiable = not path_compared(fit) or exceeds_pianist(fit)
     searched: Status = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
-    at_bound = problem.parametrisation.at_bound(fit.estimate.theta)[problem.parametrisation.shared :]
+    at_bound = problem.parametrisation.at_bound(fit.estimate.theta)[problem.parametrisation.velocities]
     return [
         "given" if v is not None else "at-bound" if bound else searched
         for v, bound in zip(problem.measured_velocity, at_bound, strict=True)

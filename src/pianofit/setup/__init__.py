@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from .contradictions import STRING_PICKUPS
+from .measured import Given, Measured, relative_sd, value_of
 from .values import KEYS, PICKUPS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
 
 __all__ = [
     "KEYS",
+    "Given",
+    "Measured",
     "PICKUPS",
     "RANGES",
     "SETUP_KEYS",
@@ -14,5 +17,7 @@ __all__ = [
     "RecordingInfo",
     "Setup",
     "recording_info_for",
+    "relative_sd",
     "to_setup",
+    "value_of",
 ]

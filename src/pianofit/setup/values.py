@@ -11,7 +11,7 @@ import difflib
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from ..io.files import path_name, printable, read_text
 from ..io.number_format import filled
 from ..parameters import Parameter
 from .contradictions import contradictions
+from .measured import MOST_RELATIVE_SD, Given, Measured, parts, relative_sd, value_of
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 MAX_BYTES = 2**20
@@ -45,6 +46,15 @@ SETUP_KEYS = {
     "pickup_scale": ("pickup", "scale"),
     "felt": ("felt", "law"),
 }
+# Attributes that can have a standard deviation, with their names among the parameters of a fit.
+SIZES = {
+    "length": "L",
+    "mass": "M_S",
+    "strike_position": "x0",
+    "strike_width": "width",
+    "pickup_position": "pickup",
+    "pickup_scale": "scale",
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +62,7 @@ class RecordingInfo:
     """Setup of one recording. `Setup` checks it."""
 
     file: str | None = None
-    v_H0: float | None = None  # m/s, measured
+    v_H0: Given | None = None  # m/s, measured
     group: str | None = None  # path group: its recordings share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
     stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
@@ -73,20 +83,23 @@ KEYS: dict[str, tuple[str, ...]] = {
 class Setup:
     """Sizes, fixed and initial values, bounds and recordings, in SI units. None or empty means not given.
 
+    Sizes, fixed values and measured velocities are plain numbers, which are exact, or `Measured` values with a standard
+    deviation.
+
     Raises
     ------
     SetupError
         If a value is invalid. The message names the table and key of a `setup.toml`, the value, and what to do.
     """
 
-    length: float | None = None  # m
-    mass: float | None = None  # kg
-    strike_position: float | None = None  # m, from the agraffe
-    strike_width: float | None = None  # m, full width of the contact window
+    length: Given | None = None  # m
+    mass: Given | None = None  # kg
+    strike_position: Given | None = None  # m, from the agraffe
+    strike_width: Given | None = None  # m, full width of the contact window
     pickup_quantity: str = "pressure"  # one of PICKUPS
-    pickup_position: float | None = None  # m, from the agraffe
-    pickup_scale: float | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
-    fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed
+    pickup_position: Given | None = None  # m, from the agraffe
+    pickup_scale: Given | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
+    fixed: dict[str, Given] = field(default_factory=dict)  # measured, held fixed or within its uncertainty
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
@@ -99,11 +112,11 @@ class Setup:
         checked: dict[str, Any] = {}
         for name, (table, key) in SETUP_KEYS.items():
             if key in RANGES and getattr(self, name) is not None:
-                checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
+                checked[name] = _given(getattr(self, name), key, *RANGES[key], f"[{table}]")
         _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
         _check_law(self.felt)
         boxes = ALL_PARAMETERS | self.law.hammer_parameters
-        for name, check in (("fixed", _parameter_value), ("initial", _parameter_value), ("bounds", _bounds)):
+        for name, check in (("fixed", _given_parameter), ("initial", _parameter_value), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
             checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
@@ -111,13 +124,32 @@ class Setup:
         checked["recordings"] = tuple(_recording_info(entry, n) for n, entry in enumerate(self.recordings, 1))
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # numbers became floats
-        for contradiction in contradictions(self):
+        for contradiction in contradictions(self.exact):
             raise SetupError(contradiction)
 
     @property
     def law(self) -> FeltLaw:
         """The felt law."""
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
+
+    @property
+    def exact(self) -> Setup:
+        """The setup without standard deviations."""
+        sizes = {name: value_of(getattr(self, name)) for name in SIZES if isinstance(getattr(self, name), Measured)}
+        fixed = {name: value_of(value) for name, value in self.fixed.items()}
+        recordings = tuple(
+            replace(entry, v_H0=value_of(entry.v_H0)) if isinstance(entry.v_H0, Measured) else entry
+            for entry in self.recordings
+        )
+        if not sizes and fixed == self.fixed and recordings == self.recordings:
+            return self
+        return replace(self, **sizes, fixed=fixed, recordings=recordings)
+
+    @property
+    def relative_sds(self) -> dict[str, float]:
+        """Standard deviations of the logarithms of sizes and fixed values, by name, without exact ones."""
+        given = {name: getattr(self, attribute) for attribute, name in SIZES.items()} | self.fixed
+        return {name: relative_sd(value) for name, value in given.items() if relative_sd(value)}
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], felt: str | None = None) -> Setup:
@@ -256,6 +288,8 @@ def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: 
     if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
+        if isinstance(value, Measured | Mapping):
+            quotes = f"; {key} has no sd, because it is not a measured value: use [fixed]"
         raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
 
@@ -279,6 +313,27 @@ def _check_law(felt: object) -> None:
         raise SetupError(f"[felt] law = {_show(felt.name)} is the name of a built-in law; give yours another name")
 
 
+def _given(value: object, key: str, lower: float, upper: float, unit: str, where: str) -> Given:
+    """Return a number within its range, or a `Measured` if it has a standard deviation above 0."""
+    if isinstance(value, Mapping):
+        for own in value:
+            if own not in ("value", "sd"):
+                raise SetupError(f"{where} {key}: {_show(own)} is not known; {_suggest(own, ('value', 'sd'))}")
+    try:
+        pair = parts(value)
+    except SetupError as error:
+        raise SetupError(f"{where} {key} = {_show(value)}: {error}") from None
+    if pair is None:
+        return _number(value, key, lower, upper, unit, where)
+    number = _number(pair[0], f"{key}: value", lower, upper, unit, where)
+    sd = _number(pair[1], f"{key}: sd", 0.0, MOST_RELATIVE_SD * number, unit, where)
+    return Measured(number, sd) if sd else number
+
+
+def _given_parameter(value: object, key: str, where: str, box: Parameter) -> Given:
+    return _given(value, key, box.lower, box.upper, box.unit, where)
+
+
 def _parameter_value(value: object, key: str, where: str, box: Parameter) -> float:
     return _number(value, key, box.lower, box.upper, box.unit, where)
 
@@ -294,11 +349,11 @@ def _bounds(pair: object, key: str, where: str, box: Parameter) -> tuple[float, 
 
 def _recording_info(entry: object, number: int) -> RecordingInfo:
     where = f"[[recording]] {number}"
-    given = asdict(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
+    given = vars(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
     table = {key: value for key, value in given.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _parameter_value(value, key, where, ALL_PARAMETERS[key])
+            table[key] = _given_parameter(value, key, where, ALL_PARAMETERS[key])
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
