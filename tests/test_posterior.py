@@ -23,7 +23,7 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     t = table("no path")._replace(degrees_of_freedom=jnp.asarray(1e9), censored=jnp.zeros((0, 2), int), prior=known)
     residual, _ = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
-    found, _ = marginalise_nuisances(t, residual, jacobian, PHI, w, 1)
+    found, _ = marginalise_nuisances(t, residual, jacobian, PHI, w, (0,))
     detected = np.asarray(t.detected).ravel() > 0
     covariance = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
     rows = jacobian.reshape(-1, 3)[detected]
@@ -68,7 +68,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     for hyper in (1, 4):
         rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
         cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
-        found, volume = marginalise_nuisances(t, residual, jacobian, PHI, w, hyper)
+        found, volume = marginalise_nuisances(t, residual, jacobian, PHI, w, range(hyper))
         np.testing.assert_allclose(found, known - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4)
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
         # Unknown φ and w lower the precision of θ.

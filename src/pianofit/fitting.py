@@ -13,7 +13,7 @@ from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
-from .setup import Given, Measured, RecordingInfo, Setup, to_setup, value_of
+from .setup import Measured, RecordingInfo, Setup, to_setup
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def fit(
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     note: str | int | None = None,
     f0: float | None = None,
-    velocity: Given | None = None,
+    velocity: float | None = None,
     channel: str = "average",
     intervals: str = "laplace",
     seed: int = 0,
@@ -106,7 +106,7 @@ def analyse_all(
 
 
 def check_arguments(
-    recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: Given | None, seed: int, progress: Any
+    recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, seed: int, progress: Any
 ) -> None:
     """Reject invalid arguments and combinations, before a file is read."""
     check_process()
@@ -114,7 +114,7 @@ def check_arguments(
         raise ParameterError("no recording was given; give one, or several of one key")
     check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
     check_analyses(analyses, len(recordings))
-    check_velocity(None if velocity is None else value_of(velocity))
+    check_velocity(velocity)
     if isinstance(velocity, Measured):
         Setup(recordings=(RecordingInfo(v_H0=velocity),))  # checks the standard deviation
     check_seed(seed)
@@ -124,11 +124,11 @@ def check_arguments(
         )
 
 
-def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: Given | None) -> Setup:
+def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: float | None) -> Setup:
     """Read the setup in any form. Raise a `SetupError` for a measured `velocity`, m/s, outside its bounds."""
     setup = to_setup(setup)
     low, high = setup.bounds.get("v_H0", (0.0, math.inf))
-    if velocity is not None and not low <= value_of(velocity) <= high:
+    if velocity is not None and not low <= velocity <= high:
         raise SetupError(
             f"velocity={velocity} m/s is outside [bounds] v_H0 = [{low:g}, {high:g}] of the setup; change one of them"
         )

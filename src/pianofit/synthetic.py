@@ -221,5 +221,5 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Measured):
-        return f"{{value = {value.value!r}, sd = {value.sd!r}}}"
+        return f"{{value = {float(value)!r}, sd = {value.sd!r}}}"
     return repr([*value]) if isinstance(value, tuple) else repr(value)

@@ -12,7 +12,7 @@ from ..analysis import Analysis
 from ..errors import FitError, ParameterError
 from ..progress import Progress
 from ..recording.recording import Recording
-from ..setup import Given, Setup
+from ..setup import Setup
 from ..threads import one_blas_thread
 from .batched_model import LevelModel
 from .derivatives import LatentPosterior, latent_posterior
@@ -26,7 +26,8 @@ from .profile import profiles
 
 # Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
 SAME = 1.0
-# Minima whose F is higher by more than this have no posterior weight: exp(-6) is a quarter of a percent.
+# Minima whose posterior mass is smaller by more than this, in logarithms, have no weight: exp(-6) is a quarter of a
+# percent.
 WITHIN = 6.0
 # A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
 NEARLY = 1.0
@@ -118,7 +119,7 @@ def run_inference(
     analyses: Sequence[Analysis],
     setup: Setup | None = None,
     *,
-    velocity: Given | None = None,
+    velocity: float | None = None,
     intervals: str = "laplace",
     seed: int = 0,
     progress: Progress = lambda *_: None,
@@ -179,7 +180,7 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
     candidates = multistart(levels, seed, initial_point(problem, string.theta[0, :STRING_SIZE]), progress)
     progress("string and hammer", 0.75)
-    minima = refine_minima(complete, candidates, levels.total(candidates), string)
+    minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string)
     progress("intervals", 0.88)
     strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
     return Estimate(*_deduplicate(minima, laplace(complete, minima)), strokes)
@@ -210,11 +211,11 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
 
 
 def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates) -> Minima:
-    """Refine every distinct minimum near the lowest on the complete F.
+    """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
     Parameters
     ----------
-    candidates, scores : minima with a fixed string, and their F.
+    candidates, scores : minima with a fixed string, and minus the logarithms of their posterior masses.
     string : the string's own minimum.
 
     Raises `FitError` if no contact ends.
@@ -223,7 +224,8 @@ def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarr
     near = candidates.take(np.array(deduplicate(candidates, u, scores, WITHIN)[:MOST]))
     minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w)
     # Two distinct starts can end in the same minimum: it counts once.
-    return minima.take(np.array(deduplicate(minima.candidates, u, minima.nll, WITHIN)))
+    mass = objective.negative_log_mass(minima.candidates)
+    return minima.take(np.array(deduplicate(minima.candidates, u, mass, WITHIN)))
 
 
 def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:

@@ -118,8 +118,8 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
 
 def _survivors(objective: Objective, candidates: Candidates, within: float = np.inf) -> Candidates:
-    """The lowest candidates after merging."""
-    scores = objective.total(candidates)
+    """The lowest candidates after merging; with a limit `within`, those of the largest posterior mass."""
+    scores = objective.total(candidates) if np.isinf(within) else objective.negative_log_mass(candidates)
     distinct = deduplicate(candidates, objective.problem.parametrisation, scores, within, MERGE_DISTANCE)
     return candidates.take(np.array(distinct[:SECOND], int))
 

@@ -211,8 +211,8 @@ class DensityContext(NamedTuple):
     has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
     stroke: Any  # index of the stroke, by recording [R]
     column: Any  # index of the model's partial, by column of the table [K]
-    # Of uncertain sizes: exponents of given and of other values [sizes, size], derivatives of the levels, dB [sizes, K].
-    # None if all sizes are exact.
+    # Of uncertain sizes: exponents of given and of other values [sizes, size], and derivatives of the levels, dB
+    # [sizes, K]. None if all sizes are exact.
     scaling: tuple[Any, Any, Any] | None
     cents: Any  # pitch offset of every stroke
     partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
@@ -299,7 +299,9 @@ def _reflect(x, low, high):
 def random_start(at: DensityContext, key, spread: float) -> Point:
     """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
-        jnp.zeros(at.root.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.detected)
+        jnp.zeros(at.root.shape[1]),
+        tuple(jnp.zeros(1 + len(others)) for others in HYPER),
+        tuple(jnp.zeros(len(x)) for x in at.detected),
     )
     leaves, tree = jax.tree.flatten(zero)
     keys = jax.random.split(key, len(leaves))

@@ -26,7 +26,7 @@ from ..errors import SetupError
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
-from ..setup import Given, Setup, value_of
+from ..setup import Setup
 
 # --- hammer: about the literature's values for the key (literature.typical); the felt law has the felt's priors -------
 # Hammer masses of neighbouring instruments differ by tens of percent (Chaigne and Askenfelt 1994; Chabassier): standard
@@ -139,7 +139,7 @@ class InitialValues:
         return self.scale is None and self.quantity == "pressure"
 
 
-def starting_values(analysis: Analysis, setup: Setup, velocity: Given | None = None) -> InitialValues:
+def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> InitialValues:
     """Combine analysis, setup and literature.
 
     Parameters
@@ -159,7 +159,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: Given | None = N
     fixed = dict.fromkeys(setup.fixed, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
     measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
     if measured is not None:
-        values["v_H0"], fixed["v_H0"] = value_of(measured), "fixed"
+        values["v_H0"], fixed["v_H0"] = float(measured), "fixed"
     elif setup.pickup_scale is None and "v_H0" not in fixed:
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:

@@ -17,7 +17,7 @@ from ..io.number_format import counted
 from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
-from ..setup import Given, RecordingInfo, Setup, recording_info_for, relative_sd, value_of
+from ..setup import RecordingInfo, Setup, recording_info_for, relative_sd
 from . import priors
 from .observation_tables import Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
@@ -36,8 +36,8 @@ LONGEST = 2.5
 RETURNS = 2.0
 # The rows of partials of a compiled program are a multiple of this.
 ROWS = 64
-# Sizes that can have a standard deviation and are no entries of the model: string length and mass, position and scale of
-# the pickup.
+# Sizes that can have a standard deviation and are not entries of the model: string length and mass, position and scale
+# of the pickup.
 SIZES = ("L", "M_S", "pickup", "scale")
 # Range of the strike position, as a fraction of the string: on its first part, on no node of the second partial.
 STRIKE = (0.04, 0.33)
@@ -130,7 +130,7 @@ class FitProblem:
 
 
 def build_problem(
-    recordings: Sequence[Recording], analyses: Sequence[Analysis], setup: Setup, velocity: Given | None = None
+    recordings: Sequence[Recording], analyses: Sequence[Analysis], setup: Setup, velocity: float | None = None
 ) -> FitProblem:
     """Build the problem of one or more recordings of a key.
 
@@ -146,11 +146,11 @@ def build_problem(
     _check_recordings(recordings, analyses)
     entries = [recording_info_for(setup, recording.path, len(recordings) == 1) for recording in recordings]
     structure = _structure(entries)
-    given: list[Given | None] = [None] * structure.strokes
+    given: list[float | None] = [None] * structure.strokes
     for stroke, entry in zip(structure.stroke, entries, strict=True):
         v = velocity if velocity is not None else entry.v_H0
         given[stroke] = given[stroke] if v is None else v
-    measured = [None if v is None else value_of(v) for v in given]
+    measured = [None if v is None else float(v) for v in given]
     # The fastest recording with a measured velocity, or else the brightest.
     order = [(measured[s] or 0.0, brightness(a)) for s, a in zip(structure.stroke, analyses, strict=True)]
     reference = order.index(max(order))
@@ -160,7 +160,7 @@ def build_problem(
     unnamed = "v_H0" in setup.fixed and measured[stroke] is None
     if unnamed:
         given[stroke] = setup.fixed["v_H0"]
-        measured[stroke] = value_of(given[stroke])
+        measured[stroke] = float(setup.fixed["v_H0"])
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
     observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
@@ -232,7 +232,7 @@ def brightness(analysis: Analysis) -> float:
 
 
 def _model(
-    start: InitialValues, measured: Sequence[Given | None], observed: Observations, rate: float
+    start: InitialValues, measured: Sequence[float | None], observed: Observations, rate: float
 ) -> tuple[Parametrisation, ModelInputs, StaticConfig]:
     """Priors and bounds of the parameters, and the settings of the model."""
     geometry, law = start.geometry, start.law
@@ -265,7 +265,7 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def _parametrisation(start: InitialValues, measured: Sequence[Given | None], log_u: float) -> Parametrisation:
+def _parametrisation(start: InitialValues, measured: Sequence[float | None], log_u: float) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
     names, sizes = names_of(law), tuple(name for name in SIZES if name in start.relative_sd)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
@@ -275,7 +275,7 @@ def _parametrisation(start: InitialValues, measured: Sequence[Given | None], log
     if start.unknown_path:  # it absorbs the effect of the width
         sd[names.index("width")] = 0.0
     sd = [float(np.hypot(own, start.relative_sd.get(n, 0.0))) for n, own in zip(names, sd, strict=True)]
-    mean += [np.log(priors.VELOCITY if v is None else value_of(v)) for v in measured]
+    mean += [np.log(priors.VELOCITY if v is None else float(v)) for v in measured]
     sd += [priors.VELOCITY_SD if v is None else relative_sd(v) for v in measured]
     mean = np.array(mean + [np.log(start.size_value(name)) for name in sizes])
     sd = np.array(sd + [start.relative_sd[name] for name in sizes])

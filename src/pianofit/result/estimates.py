@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +10,14 @@ import numpy as np
 
 from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interval, Parametrisation, Posterior
 from ..parameters import FIT_NAMES
+from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
-from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
+from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
+# Statuses of two velocities, the one that decides about their ratio last.
+SEVERITY: tuple[Status, ...] = ("given", "assumed", "scaled", "fitted", "at-bound", "not-identifiable")
 
 
 def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
@@ -93,13 +96,12 @@ def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities
     B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / _size_value(fit, "L")) ** 2
     table = [
         _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
-        _combined("B", fit.gauge_fixed, direction, B, "1", (states["c"], states["kappa"])),
+        _combined("B", fit.gauge_fixed, direction, B, "1", states),
         _ratio(fit, states, "M_H/M_S", "M_H", "M_S"),
         _ratio(fit, states, "x0/L", "x0", "L"),
     ]
-    force = u.force_and_exponent_index
-    if force and u.free[force[0]] and not u.given[force[0]]:  # a given K_H has no reference compression
-        table.append(_static_force(fit, states, *force))
+    if (direction := force_direction(fit)) is not None:
+        table.append(_static_force(fit, states, direction))
     return Quantities.of([*table, *_velocity_ratios(fit)])
 
 
@@ -127,11 +129,11 @@ def _combined(
     direction: np.ndarray,
     value: float,
     unit: str,
-    factors: Sequence[Status],
+    states: Mapping[str, Status],
     note: str = "",
 ) -> Quantity:
-    """A product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
-    status = invariant_status(factors, posterior.sd(direction))
+    """A product of powers, with exponents `direction` [size]; `states` are the statuses of all that it stands on."""
+    status = derived_status(name, states, posterior.sd(direction))
     quantity = Quantity(name, value, unit, None, status, meaning_of(name), note)
     return _with_interval(quantity, posterior.value_interval(direction, value))
 
@@ -153,26 +155,26 @@ def _ratio(
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)
     value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
-    quantity = _combined(name, fit.gauge_fixed, _over(u, of, size), value, unit, [states[of]])
+    quantity = _combined(name, fit.gauge_fixed, _over(u, of, size), value, unit, states)
     if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
 
 
-def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:
+def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction: np.ndarray) -> Quantity:
     """The static felt force at the reference compression over the string mass."""
     problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
-    direction = _over(u, u.names[stiffness], "M_S")
-    direction = direction + float(np.exp(z[p])) * u.log_reference_compression * np.eye(u.size)[p]
+    stiffness, p = u.force_and_exponent_index or (0, 0)
     note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
-    decisive: dict[Status, bool] = {
-        "at-bound": "at-bound" in (states[u.names[stiffness]], states[u.names[p]]),
-        "not-identifiable": u.names[stiffness] in unidentifiable_parameters(fit),
-    }
-    factors: list[Status] = [status for status, holds in decisive.items() if holds]
+    # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
+    felt: dict[str, Status] = {}
+    if u.names[stiffness] in unidentifiable_parameters(fit):
+        felt[FELT] = "not-identifiable"
+    elif "at-bound" in (states[u.names[stiffness]], states[u.names[p]]):
+        felt[FELT] = "at-bound"
     value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass  # θ belongs to the given mass
-    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", factors, note)
+    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", felt, note)
     is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
     return replace(quantity, status="scaled") if is_scaled else quantity
 
@@ -186,8 +188,8 @@ def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
         if (at := shared + stroke) != reference:
             name, file = f"v/v_ref {stroke + 1}", problem.recordings[problem.structure.stroke.index(stroke)].path
             value, direction = float(np.exp(z[at] - z[reference])), unit[at] - unit[reference]
-            factors: list[Status] = [state, states[reference - shared]]
-            table.append(_combined(name, fit.posterior, direction, value, "1", factors, Path(file).name))
+            both = SEVERITY[max(map(SEVERITY.index, (state, states[reference - shared])))]
+            table.append(_combined(name, fit.posterior, direction, value, "1", {"v_H0": both}, Path(file).name))
     return table
 
 

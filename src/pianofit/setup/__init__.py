@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from .contradictions import STRING_PICKUPS
-from .measured import Given, Measured, relative_sd, value_of
+from .measured import Measured, relative_sd
 from .values import KEYS, PICKUPS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
 
 __all__ = [
     "KEYS",
-    "Given",
     "Measured",
     "PICKUPS",
     "RANGES",
@@ -19,5 +18,4 @@ __all__ = [
     "recording_info_for",
     "relative_sd",
     "to_setup",
-    "value_of",
 ]

@@ -2,73 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+import math
+from numbers import Real
 
-from ..errors import SetupError
+from ..errors import ParameterError
 
-# Largest standard deviation over the value. The prior is Gaussian in the logarithm. The ends of its 95 % interval differ
-# from those of a Gaussian in the value by 0.2 standard deviations at 10 %, and by 0.7 at this limit.
+# Largest standard deviation over the value. The prior is Gaussian in the logarithm. The ends of its 95 % interval
+# differ from those of a Gaussian in the value by 0.2 standard deviations at 10 %, and by 0.7 at this limit.
 MOST_RELATIVE_SD = 0.3
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A measured value with its standard deviation, for every quantity that a `Setup` gives. `Setup` checks it.
+class Measured(float):
+    """A measured value with its standard deviation, for every quantity that a `Setup` gives.
 
-    The intervals, the correlations and the draws of a fit include the uncertainty of the value. A plain number is
-    exact.
+    It is a number. The intervals, the correlations and the draws of a fit include its uncertainty. A plain number is
+    exact. Arithmetic gives plain numbers.
 
     Parameters
     ----------
     value : the value, in the unit of the quantity.
     sd : its standard deviation, in the same unit; 0 for an exact value.
 
+    Raises
+    ------
+    ParameterError
+        If the value is not a finite number, or `sd` is not a number from 0.
+
     Examples
     --------
     >>> import pianofit
     >>> setup = pianofit.Setup(length=pianofit.Measured(1.602, sd=0.001))
     >>> setup.length
-    Measured(value=1.602, sd=0.001)
+    Measured(1.602, sd=0.001)
     >>> setup == pianofit.Setup.from_dict({"string": {"length": {"value": 1.602, "sd": 0.001}}})
     True
     """
 
-    value: float
+    __slots__ = ("sd",)
     sd: float
 
-    def __float__(self) -> float:
-        return float(self.value)
+    def __new__(cls, value: float, sd: float) -> Measured:
+        """Check value and standard deviation."""
+        for name, number, lowest in (("value", value, -math.inf), ("sd", sd, 0.0)):
+            if not isinstance(number, Real) or isinstance(number, bool) or not lowest <= number < math.inf:
+                limit = " from 0" if name == "sd" else ""
+                raise ParameterError(f"Measured: {name}={number!r} must be a finite number{limit}, in the unit of both")
+        measured = super().__new__(cls, value)
+        object.__setattr__(measured, "sd", float(sd))
+        return measured
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"Measured: {name} cannot be changed; make another")
+
+    def __reduce__(self) -> tuple[type[Measured], tuple[float, float]]:
+        return Measured, (float(self), self.sd)
+
+    def __eq__(self, other: object) -> bool:
+        return float(self) == other and self.sd == getattr(other, "sd", 0.0)
+
+    def __hash__(self) -> int:
+        return hash((float(self), self.sd)) if self.sd else hash(float(self))
+
+    def __repr__(self) -> str:
+        return f"Measured({float(self)!r}, sd={self.sd!r})"
 
 
-# A given quantity: exact, or with a standard deviation.
-Given = float | Measured
-
-
-def value_of(given: Given) -> float:
-    """Return a given value without its standard deviation."""
-    return given.value if isinstance(given, Measured) else given
-
-
-def relative_sd(given: object) -> float:
+def relative_sd(given: float | None) -> float:
     """Return the standard deviation over the value: that of the logarithm; 0 for an exact value and for None."""
-    return given.sd / given.value if isinstance(given, Measured) else 0.0
-
-
-def parts(given: object) -> tuple[Any, Any] | None:
-    """Return value and standard deviation of a `Measured`, or of a table with these keys; None for anything else.
-
-    Raises
-    ------
-    SetupError
-        If a table lacks one of the two.
-    """
-    if isinstance(given, Measured):
-        return given.value, given.sd
-    if not isinstance(given, Mapping):
-        return None
-    for key, what in (("value", "the standard deviation of an assumed value is not used"), ("sd", "give both")):
-        if key not in given:
-            raise SetupError(f"{key} is missing; {what}, as in {{value = 1.602, sd = 0.001}}")
-    return given["value"], given["sd"]
+    return given.sd / float(given) if isinstance(given, Measured) else 0.0

@@ -16,13 +16,13 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from ..errors import SetupError, check_type
+from ..errors import ParameterError, SetupError, check_type
 from ..felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
 from ..io.files import path_name, printable, read_text
 from ..io.number_format import filled
 from ..parameters import Parameter
 from .contradictions import contradictions
-from .measured import MOST_RELATIVE_SD, Given, Measured, parts, relative_sd, value_of
+from .measured import MOST_RELATIVE_SD, Measured, relative_sd
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 MAX_BYTES = 2**20
@@ -62,7 +62,7 @@ class RecordingInfo:
     """Setup of one recording. `Setup` checks it."""
 
     file: str | None = None
-    v_H0: Given | None = None  # m/s, measured
+    v_H0: float | None = None  # m/s, measured
     group: str | None = None  # path group: its recordings share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
     stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
@@ -92,14 +92,14 @@ class Setup:
         If a value is invalid. The message names the table and key of a `setup.toml`, the value, and what to do.
     """
 
-    length: Given | None = None  # m
-    mass: Given | None = None  # kg
-    strike_position: Given | None = None  # m, from the agraffe
-    strike_width: Given | None = None  # m, full width of the contact window
+    length: float | None = None  # m
+    mass: float | None = None  # kg
+    strike_position: float | None = None  # m, from the agraffe
+    strike_width: float | None = None  # m, full width of the contact window
     pickup_quantity: str = "pressure"  # one of PICKUPS
-    pickup_position: Given | None = None  # m, from the agraffe
-    pickup_scale: Given | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
-    fixed: dict[str, Given] = field(default_factory=dict)  # measured, held fixed or within its uncertainty
+    pickup_position: float | None = None  # m, from the agraffe
+    pickup_scale: float | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
+    fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed or within its uncertainty
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
@@ -135,10 +135,10 @@ class Setup:
     @property
     def exact(self) -> Setup:
         """The setup without standard deviations."""
-        sizes = {name: value_of(getattr(self, name)) for name in SIZES if isinstance(getattr(self, name), Measured)}
-        fixed = {name: value_of(value) for name, value in self.fixed.items()}
+        sizes = {name: float(getattr(self, name)) for name in SIZES if isinstance(getattr(self, name), Measured)}
+        fixed = {name: float(value) for name, value in self.fixed.items()}
         recordings = tuple(
-            replace(entry, v_H0=value_of(entry.v_H0)) if isinstance(entry.v_H0, Measured) else entry
+            replace(entry, v_H0=float(entry.v_H0)) if isinstance(entry.v_H0, Measured) else entry
             for entry in self.recordings
         )
         if not sizes and fixed == self.fixed and recordings == self.recordings:
@@ -289,13 +289,13 @@ def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: 
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
         if isinstance(value, Measured | Mapping):
-            quotes = f"; {key} has no sd, because it is not a measured value: use [fixed]"
+            quotes = " without an sd; for a measured value use [fixed]"
         raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)  # includes NumPy's numbers
+    return isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
 
 
 def _check_choice(value: object, allowed: tuple[str, ...], where: str) -> None:
@@ -313,24 +313,33 @@ def _check_law(felt: object) -> None:
         raise SetupError(f"[felt] law = {_show(felt.name)} is the name of a built-in law; give yours another name")
 
 
-def _given(value: object, key: str, lower: float, upper: float, unit: str, where: str) -> Given:
+def _given(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
     """Return a number within its range, or a `Measured` if it has a standard deviation above 0."""
     if isinstance(value, Mapping):
-        for own in value:
-            if own not in ("value", "sd"):
-                raise SetupError(f"{where} {key}: {_show(own)} is not known; {_suggest(own, ('value', 'sd'))}")
-    try:
-        pair = parts(value)
-    except SetupError as error:
-        raise SetupError(f"{where} {key} = {_show(value)}: {error}") from None
-    if pair is None:
+        value = _measured(value, f"{where} {key}")
+    if not isinstance(value, Measured):
         return _number(value, key, lower, upper, unit, where)
-    number = _number(pair[0], f"{key}: value", lower, upper, unit, where)
-    sd = _number(pair[1], f"{key}: sd", 0.0, MOST_RELATIVE_SD * number, unit, where)
+    number = _number(float(value), key, lower, upper, unit, where)
+    sd = _number(value.sd, f"{key}: sd", 0.0, MOST_RELATIVE_SD * number, unit, where)
     return Measured(number, sd) if sd else number
 
 
-def _given_parameter(value: object, key: str, where: str, box: Parameter) -> Given:
+def _measured(table: Mapping[Any, Any], where: str) -> Measured:
+    """Return the value of a table, {value = 1.602, sd = 0.001}."""
+    for key in table:
+        if key not in ("value", "sd"):
+            raise SetupError(f"{where}: {_show(key)} is not known; {_suggest(key, ('value', 'sd'))}")
+    for key in ("value", "sd"):
+        if key not in table:
+            reason = "an assumed value has no sd" if key == "value" else "an exact value is a plain number"
+            raise SetupError(f"{where} = {_show(dict(table))} has no {key}, but {reason}; give value and sd")
+    try:
+        return Measured(table["value"], table["sd"])
+    except ParameterError as error:
+        raise SetupError(f"{where}: {error}") from None
+
+
+def _given_parameter(value: object, key: str, where: str, box: Parameter) -> float:
     return _given(value, key, box.lower, box.upper, box.unit, where)
 
 
