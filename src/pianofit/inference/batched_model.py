@@ -258,7 +258,7 @@ def level_slopes(problem: FitProblem) -> np.ndarray:
         slopes |= {"scale": -unit} | ({"M_S": unit} if start.quantity in ("bridge-force", "pressure") else {})
     if start.quantity in ("velocity", "displacement"):
         phase = problem.observed.number * np.pi * start.geometry.pickup / start.geometry.length
-        spread = phase * np.hypot(*(start.relative_sd.get(name, 0.0) for name in ("pickup", "L")))
+        spread = phase * np.hypot(start.relative_sd.get("pickup", 0.0), start.relative_sd.get("L", 0.0))
         slope = DB * phase * np.sin(phase) * np.cos(phase) / (np.sin(phase) ** 2 + spread**2)
         slopes |= {"pickup": slope, "L": -slope}
     return np.array([slopes[name] for name in u.sizes]).reshape(len(u.sizes), count)

@@ -60,7 +60,7 @@ def _node(point: TablePoint, log_sigma: float) -> tuple[float, np.ndarray]:
     for _ in range(WEIGHT_STEPS):
         w = em_weights(table, evaluate(table, residual, jacobian, phi, w).by_log_w, w)
     curvature, log_det = marginalise_nuisances(table, residual, jacobian, phi, w, others)
-    return -evaluate(table, residual, jacobian, phi, w).nll - 0.5 * log_det, curvature
+    return -float(evaluate(table, residual, jacobian, phi, w).nll) - 0.5 * log_det, curvature
 
 
 def excess_nodes(point: TablePoint, log_det: Callable[[np.ndarray], float], reach: float) -> ExcessNodes:

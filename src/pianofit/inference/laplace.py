@@ -206,7 +206,7 @@ def _inverse(
     log_det = float(np.linalg.slogdet(inner)[1])
     for k in at_bound:
         across = precision[k, k] - precision[k] @ covariance @ precision[k]
-        log_det += _log_curvature(abs(slope[k]), max(across, FLAT * precision[k, k]))
+        log_det += _log_curvature(abs(float(slope[k])), max(float(across), FLAT * float(precision[k, k])))
     return covariance, log_det
 
 

@@ -133,7 +133,8 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
 def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
     """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
     u = objective.problem.parametrisation
-    free = objective.free & (np.arange(u.size) < u.velocities.stop)  # sizes have no other minima
+    # Values and sizes that were given with a standard deviation have no other minima.
+    free = objective.free & ~u.given & (np.arange(u.size) < u.velocities.stop)
     x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
 
     def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:

@@ -284,12 +284,15 @@ def _parametrisation(start: InitialValues, measured: Sequence[float | None], log
     if law.power is not None:  # the force is searched
         stiffness, exponent = law.power
         mean[names.index(stiffness)] += values[exponent] * log_u
-    given = np.array([*(start.fixed.get(n) == "fixed" for n in names), *(v is not None for v in measured)])
+    # A fitted width is an effective one, with the given width only as the centre of its prior.
+    given = [start.fixed.get(n) == "fixed" and (n != "width" or start.unknown_path) for n in names]
+    given = np.array([*given, *(v is not None for v in measured)])
     given = np.append(given, np.zeros(len(sizes), bool))
     scaling = {"L": priors.LENGTH_EXPONENTS, "M_S": {"M_H": 1.0, **{n: law.force_exponent(n) for n in law.parameters}}}
     exponents = np.zeros((len(sizes), len(mean)))
     for row, size in enumerate(sizes):
         exponents[row, : len(names)] = [scaling.get(size, {}).get(name, 0.0) for name in names]
+    exponents *= given | (sd > 0)  # an assumed value, such as the contact width, is fixed as it is
     return Parametrisation(mean, sd, lower, upper, log_u, geometry, law, sizes, exponents, given)
 
 

@@ -35,7 +35,7 @@ def statuses(fit: InferenceResult) -> dict[str, Status]:
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
     def status(i: int, name: str) -> Status:
-        if not u.free[i] or (name in start.relative_sd and name != "width"):
+        if not u.free[i] or u.given[i]:
             return "assumed" if start.fixed.get(name) == "assumed" else "given"
         if at_bound[i]:
             return "at-bound"

@@ -58,7 +58,12 @@ class Measured(float):
         return Measured, (float(self), self.sd)
 
     def __eq__(self, other: object) -> bool:
-        return float(self) == other and self.sd == getattr(other, "sd", 0.0)
+        if not isinstance(other, Real):
+            return NotImplemented
+        return float(self) == float(other) and self.sd == getattr(other, "sd", 0.0)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
 
     def __hash__(self) -> int:
         return hash((float(self), self.sd)) if self.sd else hash(float(self))
