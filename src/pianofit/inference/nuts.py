@@ -211,7 +211,7 @@ class DensityContext(NamedTuple):
     has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
     stroke: Any  # index of the stroke, by recording [R]
     column: Any  # index of the model's partial, by column of the table [K]
-    # Of uncertain sizes: exponents of given and of other values [sizes, size], and derivatives of the levels, dB
+    # Exponents of given and of other values by uncertain sizes [sizes, size], and derivatives of the levels by them, dB
     # [sizes, K]. None if all sizes are exact.
     scaling: tuple[Any, Any, Any] | None
     cents: Any  # pitch offset of every stroke
