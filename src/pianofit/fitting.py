@@ -13,7 +13,7 @@ from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
-from .setup import Setup, to_setup
+from .setup import Measured, RecordingInfo, Setup, to_setup
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def fit(
     recordings : recordings, each a path, a `Recording`, or samples [samples], ±1 = full scale, with their rate in Hz.
     setup : the given values: a `Setup`, tables as in a `setup.toml`, or the path of one.
     note, f0 : the note, such as "F#2" or 42, or its pitch in Hz; estimated if None.
-    velocity : measured hammer velocity of a single recording, m/s. It is not fitted.
+    velocity : measured hammer velocity of a single recording, m/s: exact, or a `Measured` value.
     channel : channel of files: "average", "left", "right", or "1" to "8".
     intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
     seed : seed of the search and of the posterior draws. The same seed gives the same result.
@@ -115,6 +115,8 @@ def check_arguments(
     check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
     check_analyses(analyses, len(recordings))
     check_velocity(velocity)
+    if isinstance(velocity, Measured):
+        Setup(recordings=(RecordingInfo(v_H0=velocity),))  # checks the standard deviation
     check_seed(seed)
     if velocity is not None and len(recordings) > 1:
         raise ParameterError(

@@ -22,7 +22,7 @@ from .model.note import MAX_SECONDS, check_render
 from .model.simulate import MAX_STEPS
 from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
-from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, RecordingInfo, Setup
+from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, Measured, RecordingInfo, Setup
 
 # s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
@@ -217,7 +217,9 @@ UNITS = {"length": "m", "mass": "kg", "position": "m from the agraffe", "width":
 
 
 def _toml(value: Any) -> str:
-    """A value in TOML: a text, a number, or a list of numbers."""
+    """A value in TOML: a text, a number, a measured value, or a list of numbers."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Measured):
+        return f"{{value = {float(value)!r}, sd = {value.sd!r}}}"
     return repr([*value]) if isinstance(value, tuple) else repr(value)

@@ -121,6 +121,13 @@ class FeltLaw:
         pattern = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
         return tuple(name for name, parameter in self.parameters.items() if pattern.search(parameter.unit))
 
+    def force_exponent(self, name: str) -> float:
+        """Return the exponent with which a parameter scales with forces and masses: that of N and kg in its unit."""
+        upper, *lower = self.parameters[name].unit.split("/")
+        pattern = r"(?<![A-Za-z])(?:N|kg)(?:\^(-?[\d.]+))?(?![A-Za-z^])"
+        total = sum(float(x or 1) for x in re.findall(pattern, upper))
+        return total - sum(float(x or 1) for x in re.findall(pattern, "/".join(lower)))
+
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
         """Return a hammer with these `values`; fields of its type that the law does not have are `absent`."""
         return self.hammer_type(

@@ -14,7 +14,7 @@ from .estimate import InferenceResult, check_intervals, map_estimate, run_infere
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
 from .observation_tables import select_partials
-from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, names_of
+from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, simulation_grid
 
@@ -31,6 +31,7 @@ __all__ = [
     "LatentPosterior",
     "Minima",
     "ObservedValues",
+    "Parametrisation",
     "Posterior",
     "Progress",
     "build_problem",

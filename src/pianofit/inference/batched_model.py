@@ -164,13 +164,20 @@ class LevelModel:
         table = problem.observed.level
         self.has_level = table.detected + 0.0  # 1 where a level or a bound of a censored partial exists [R, K]
         self.has_level[tuple(table.censored.T)] = 1.0
+        self.by_size = level_slopes(problem)
         self.strokes_computed = 0  # by `levels` and `residuals`
 
     def stroke_entries(self, theta: np.ndarray) -> np.ndarray:
         """Every stroke at `theta` [B, size]: [B · strokes, entries]."""
         u = self.problem.parametrisation
+        theta = u.model_entries(theta)
         hammers = np.repeat(theta[:, STRING_SIZE : u.shared], u.strokes, axis=0)
-        return np.concatenate([hammers, theta[:, u.shared :].reshape(-1, 1)], axis=1)
+        return np.concatenate([hammers, theta[:, u.velocities].reshape(-1, 1)], axis=1)
+
+    def size_effect(self, theta: np.ndarray) -> np.ndarray | float:
+        """Change of the levels with the sizes beyond the model's entries, dB [B, 1, K]."""
+        u = self.problem.parametrisation
+        return (u.size_changes(theta) @ self.by_size)[:, None] if u.sizes else 0.0
 
     def levels(self, strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of many strokes on the fixed string, dB [strokes, K], and whether contacts ended."""
@@ -186,7 +193,8 @@ class LevelModel:
         else:
             program, batch, size = level_jacobians, (self.string, self.stroke_entries(theta)), BATCH_SIZE
         level, slope, ended = run_in_batches(program, batch, self.inputs, self.cfg, size)
-        return self._by_recording(level), self._by_recording(slope), np.all(ended.reshape(len(theta), -1), axis=1)
+        level = self._by_recording(level) + self.size_effect(theta)
+        return level, self._by_recording(slope), np.all(ended.reshape(len(theta), -1), axis=1)
 
     def residuals(self, theta: np.ndarray, offset: np.ndarray) -> Residuals:
         """Residuals [B, R, K] with derivatives of the model [B, R, K, size], and whether contacts ended [B].
@@ -205,7 +213,8 @@ class LevelModel:
         jacobian[..., shared] = slope[..., : len(shared)]
         for r, stroke in enumerate(self.stroke):
             jacobian[:, r, :, u.shared + stroke] = slope[:, r, :, len(shared)]
-        jacobian *= self.has_level[..., None] * u.free
+        jacobian[..., u.velocities.stop :] = self.by_size.T
+        jacobian = self.has_level[..., None] * u.by_theta(jacobian)
         residual = (table.value - level - offset) * self.has_level
         valid = ended & np.isfinite(jacobian).all(axis=(1, 2, 3))
         residual = np.where(valid[:, None, None], residual, 0.0)
@@ -217,6 +226,7 @@ class LevelModel:
         fine = inputs._replace(rate=inputs.rate * FINER, steps=inputs.steps * FINER)
         batch = self._strokes_with_strings(theta)
         finer = self._by_recording(run_in_batches(levels_per_string, batch, fine, cfg, STRING_BATCH_SIZE)[0])
+        finer = finer + self.size_effect(theta)
         # The search's own program, which is compiled anyway.
         change = finer - self.level_jacobians(theta)[0]
         shorter = (fine.rate / self.inputs.rate) ** 2
@@ -224,12 +234,34 @@ class LevelModel:
 
     def _strokes_with_strings(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Strings, pitch offsets and strokes [B · strokes, ...]."""
-        strings = np.repeat(theta[:, :STRING_SIZE], len(self.cents), axis=0)
+        strings = np.repeat(self.problem.parametrisation.model_entries(theta)[:, :STRING_SIZE], len(self.cents), axis=0)
         return strings, np.tile(self.cents, len(theta)), self.stroke_entries(theta)
 
     def _by_recording(self, rows: np.ndarray) -> np.ndarray:
         """Select every recording's columns [B, R, K, ...] from the model's rows [B · strokes, rows, ...]."""
         return rows.reshape(-1, len(self.cents), *rows.shape[1:])[:, self.stroke][:, :, self.columns]
+
+
+def level_slopes(problem: FitProblem) -> np.ndarray:
+    """Derivatives of the levels by the logarithms of uncertain sizes, beyond the model's entries, dB [sizes, K].
+
+    The unit of the recordings is that of the given scale, so with a larger scale the model is fainter in it. The force
+    on the bridge scales with the string mass. A pickup at x on the string gives partial k the factor sin(a), a = kπx/L.
+    Its derivative near a node is that of the mean energy over the uncertainty s of a: (sin²a + s²)^½. The time of the
+    wave to the pickup changes levels a hundred times less and is neglected.
+    """
+    u, start = problem.parametrisation, problem.initial_values
+    count = len(problem.observed.number)
+    slopes = dict.fromkeys(u.sizes, np.zeros(count))
+    if problem.calibrated:
+        unit = np.full(count, DB)
+        slopes |= {"scale": -unit} | ({"M_S": unit} if start.quantity in ("bridge-force", "pressure") else {})
+    if start.quantity in ("velocity", "displacement"):
+        phase = problem.observed.number * np.pi * start.geometry.pickup / start.geometry.length
+        spread = phase * np.hypot(start.relative_sd.get("pickup", 0.0), start.relative_sd.get("L", 0.0))
+        slope = DB * phase * np.sin(phase) * np.cos(phase) / (np.sin(phase) ** 2 + spread**2)
+        slopes |= {"pickup": slope, "L": -slope}
+    return np.array([slopes[name] for name in u.sizes]).reshape(len(u.sizes), count)
 
 
 class StringModel:
@@ -243,11 +275,12 @@ class StringModel:
         o, u = self.problem.observed, self.problem.parametrisation
         measured, length = (o.frequency.value[0], o.decay.value[0]), float(self.problem.initial_values.geometry.length)
         tables = []
-        points = [string_residuals(t[:STRING_SIZE], measured, o.string_number, o.law, length) for t in theta]
+        strings = u.model_entries(theta)[:, :STRING_SIZE]
+        points = [string_residuals(string, measured, o.string_number, o.law, length) for string in strings]
         for table in range(len(measured)):
             jacobian = np.zeros((len(theta), 1, len(o.string_number), u.size))
             jacobian[..., :STRING_SIZE] = [slopes[table] for _, slopes in points]
-            tables.append((np.array([residuals[table] for residuals, _ in points]), jacobian * u.free))
+            tables.append((np.array([residuals[table] for residuals, _ in points]), u.by_theta(jacobian)))
         return tables, np.ones(len(theta), bool)
 
 

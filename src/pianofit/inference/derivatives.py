@@ -21,6 +21,7 @@ Nodes are summed as in F. The few second derivatives by φ are differences of th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -269,20 +270,21 @@ def marginalise_nuisances(
     phi: np.ndarray,
     w: np.ndarray,
     theta: np.ndarray,
-    hyper: int,
+    hyper: Sequence[int],
 ) -> tuple[np.ndarray, float]:
-    """Curvature by θ with the first `hyper` of φ and all log-weights integrated out [size, size], and their log volume.
+    """Curvature by θ with the entries `hyper` of φ and all log-weights integrated out [size, size].
 
-    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
-    is that of the velocities at θ.
+    The second result is the log determinant of their part. The approximation is quadratic in all of them. The curvature
+    by θ alone is Gauss-Newton. The covariance of the walk is that of the velocities at θ.
     """
     detected, step = np.asarray(table.detected) > 0, 1e-4
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w, theta)
-    r, J, ws, thetas = (np.repeat(x[None], hyper + 1, axis=0) for x in (residual, jacobian, w, theta))
-    found = evaluate_batch(table, r, J, phi + step * np.eye(hyper + 1, len(phi), -1), ws, thetas)
+    r, J, ws, thetas = (np.repeat(x[None], len(hyper) + 1, axis=0) for x in (residual, jacobian, w, theta))
+    steps = np.concatenate([np.zeros((1, len(phi))), step * np.eye(len(phi))[list(hyper)]])
+    found = evaluate_batch(table, r, J, phi + steps, ws, thetas)
     curvature = found.curvature[0]
     by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
-    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, :hyper] / step
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, list(hyper)] / step
     gradient = found.gradient - found.by_covariance
     cross = np.concatenate([(gradient[1:] - gradient[0]) / step, cross])
     nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])

@@ -27,7 +27,8 @@ from .profile import profiles
 
 # Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
 SAME = 1.0
-# Minima whose F is higher by more than this have no posterior weight: exp(-6) is a quarter of a percent.
+# Minima whose posterior mass is smaller by more than this, in logarithms, have no weight: exp(-6) is a quarter of a
+# percent.
 WITHIN = 6.0
 # A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
 NEARLY = 1.0
@@ -102,7 +103,8 @@ class InferenceResult:
         hammer = np.arange(u.size) < u.shared
         hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
         fixed = replace(u, mean=np.where(hammer, self.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
-        objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), theta[:STRING_SIZE])
+        string = u.model_entries(theta)[:STRING_SIZE]
+        objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), string)
         table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
         surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
@@ -184,7 +186,7 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
     candidates = multistart(levels, seed, initial_point(problem, string.theta[0, :STRING_SIZE]), progress)
     progress("string and hammer", 0.75)
-    minima = refine_minima(complete, candidates, levels.total(candidates), string)
+    minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string)
     progress("intervals", 0.88)
     strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
     return Estimate(*_deduplicate(minima, laplace(complete, minima)), strokes)
@@ -215,11 +217,11 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
 
 
 def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates) -> Minima:
-    """Refine every distinct minimum near the lowest on the complete F.
+    """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
     Parameters
     ----------
-    candidates, scores : minima with a fixed string, and their F.
+    candidates, scores : minima with a fixed string, and minus the logarithms of their posterior masses.
     string : the string's own minimum.
 
     Raises `FitError` if no contact ends.
@@ -228,7 +230,8 @@ def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarr
     near = candidates.take(np.array(deduplicate(candidates, u, scores, WITHIN)[:MOST]))
     minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w)
     # Two distinct starts can end in the same minimum: it counts once.
-    return minima.take(np.array(deduplicate(minima.candidates, u, minima.nll, WITHIN)))
+    mass = objective.negative_log_mass(minima.candidates)
+    return minima.take(np.array(deduplicate(minima.candidates, u, mass, WITHIN)))
 
 
 def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:

@@ -1,10 +1,10 @@
 """Laplace's approximation at every minimum of F, and the mixture of the minima.
 
 At a minimum F is approximated by a quadratic in θ, φ and the log-weights. φ and the log-weights are integrated out with
-it, so an interval includes that the excess itself is estimated from a few levels. The posterior weight of a minimum is
-its density times its volume,
+it. The excess σ of every table is integrated over nodes (excess.py), because its value at the minimum lacks the degrees
+of freedom. The posterior weight of a minimum is its density times its volume,
 
-    weight ∝ exp(-F) |H|^(-1/2),     H the Hessian of F by (θ, φ, log w)
+    weight ∝ ∫ exp(-F) |H|^(-1/2) d log σ,     H the Hessian of F by (θ, the other φ, log w)
 
 and a 95 % interval holds 95 % of the mixture. A parameter at a bound is fixed there. Its factor of the volume is that
 of the exponential by which the density falls inward. An `Interval` by profiles or by draws has the same form.
@@ -12,7 +12,8 @@ of the exponential by which the density falls inward. An `Interval` by profiles 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -22,11 +23,11 @@ from scipy.special import erfcx
 from scipy.stats import norm
 
 from ..conversions import HALF_WIDTH_95
-from .derivatives import marginalise_nuisances
-from .objective import Candidates, Objective
+from .excess import ExcessNodes, TablePoint, excess_nodes
+from .objective import HYPER_REACH, Candidates, Objective
 
-# Number of unknown hyperparameters φ of the tables of levels, frequencies and decays.
-HYPER = (5, 3, 3)
+# Indices of the unknown hyperparameters φ besides σ, of the tables of levels, frequencies and decays.
+HYPER = ((1, 2, 3, 4), (1, 2), (1, 2))
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
 FLAT = 1e-8
 
@@ -146,31 +147,67 @@ class Estimate(NamedTuple):
 
 def laplace(objective: Objective, minima: Minima) -> Posterior:
     """The mixture of the minima of the complete F."""
-    u, candidates = objective.problem.parametrisation, minima.candidates
-    logs, covariances, volumes = [], [], []
-    gradient = objective.gradient(candidates)
-    for i, theta in enumerate(candidates.theta):
-        precision, log_det = _precision(objective, candidates, i)
-        covariance = np.zeros((u.size, u.size))
-        bound = u.at_bound(theta)
-        free = objective.free & ~bound
-        along = u.bound_jacobian(theta[None], bound[None])[0]
-        projected = along.T @ precision @ along
-        inner = projected[np.ix_(free, free)]
-        scale = 1 / np.sqrt(np.diag(inner))
-        covariance[np.ix_(free, free)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
-        slope = along.T @ gradient[i]
-        for k in np.flatnonzero(objective.free & bound):
-            across = projected[k, k] - projected[k] @ covariance @ projected[k]
-            log_det += _log_curvature(abs(slope[k]), max(across, FLAT * projected[k, k]))
-        tangent = u.tangent(theta) @ along
-        covariance = tangent @ covariance @ tangent.T
-        covariances.append(0.5 * (covariance + covariance.T))  # symmetric to the last bit
-        volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))
-        logs.append(u.log_values(theta))
-    score = -minima.nll + np.array(volumes)
+    u, theta = objective.problem.parametrisation, minima.candidates.theta
+    gradient = objective.gradient(minima.candidates)
+    parts = [_at_minimum(objective, minima.candidates, i, gradient[i]) for i in range(len(theta))]
+    score = np.array([log_weight for log_weight, _ in parts])
     weight = np.exp(score - score.max())
-    return Posterior(np.array(logs), np.array(covariances), weight / weight.sum())
+    covariance = np.array([covariance for _, covariance in parts]).reshape(-1, u.size, u.size)
+    return Posterior(u.log_values(theta), covariance, weight / weight.sum())
+
+
+def _at_minimum(objective: Objective, candidates: Candidates, i: int, gradient: np.ndarray) -> tuple[float, np.ndarray]:
+    """Logarithm of the posterior mass at a minimum, and the covariance of the logarithms of values [size, size]."""
+    u, theta = objective.problem.parametrisation, candidates.theta[i]
+    bound = u.at_bound(theta)
+    free, at_bound = np.flatnonzero(objective.free & ~bound), np.flatnonzero(objective.free & bound)
+    along = u.bound_jacobian(theta[None], bound[None])[0]
+    slope = along.T @ gradient
+    nodes, prior = _nodes(objective, candidates, i, along, free)
+    masses, total = [], np.zeros((u.size, u.size))
+    for node in itertools.product(*(range(len(own.log_density)) for own in nodes)):
+        precision = prior + sum(own.curvature[n] for own, n in zip(nodes, node, strict=True))
+        inverse, log_det = _inverse(along.T @ precision @ along, free, at_bound, slope)
+        masses.append(sum(own.log_density[n] for own, n in zip(nodes, node, strict=True)) - 0.5 * log_det)
+        # The mean over nodes so far.
+        share = np.exp(masses[-1] - np.logaddexp.reduce(masses))
+        total += share * (inverse - total)
+    tangent = u.tangent(theta) @ along
+    covariance = tangent @ total @ tangent.T
+    F_prior = float(objective.prior(theta[None])[0][0])
+    return float(np.logaddexp.reduce(masses)) - F_prior, 0.5 * (covariance + covariance.T)  # symmetric to the last bit
+
+
+def _nodes(
+    objective: Objective, candidates: Candidates, i: int, along: np.ndarray, free: np.ndarray
+) -> tuple[list[ExcessNodes], np.ndarray]:
+    """Nodes of σ of every table at a minimum, and the precision of the prior [size, size]."""
+    prior = objective.prior(candidates.theta)[2]
+    points = [
+        TablePoint(term.table, part.residual[i], part.jacobian[i], part.phi[i], part.w[i], candidates.theta[i], others)
+        for term, part, others in zip(objective.terms, candidates.parts, HYPER, strict=True)
+    ]
+    curvatures = [part.derivatives.curvature[i] for part in candidates.parts]
+
+    def log_det_of(table: int) -> Callable[[np.ndarray], float]:
+        rest = prior + sum(curvature for n, curvature in enumerate(curvatures) if n != table)
+        return lambda own: float(np.linalg.slogdet((along.T @ (rest + own) @ along)[np.ix_(free, free)])[1])
+
+    return [excess_nodes(point, log_det_of(n), HYPER_REACH) for n, point in enumerate(points)], prior
+
+
+def _inverse(
+    precision: np.ndarray, free: np.ndarray, at_bound: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Covariance of θ [size, size], 0 for fixed parameters, and log|H| with the factors of parameters at a bound."""
+    covariance, inner = np.zeros(precision.shape), precision[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.diag(inner))
+    covariance[np.ix_(free, free)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
+    log_det = float(np.linalg.slogdet(inner)[1])
+    for k in at_bound:
+        across = precision[k, k] - precision[k] @ covariance @ precision[k]
+        log_det += _log_curvature(abs(float(slope[k])), max(float(across), FLAT * float(precision[k, k])))
+    return covariance, log_det
 
 
 def _log_curvature(slope: float, curvature: float) -> float:
@@ -179,16 +216,6 @@ def _log_curvature(slope: float, curvature: float) -> float:
     That is -2 log of ∫ exp(-slope t - ½ curvature t²) dt, t > 0, over √(2π).
     """
     return float(np.log(curvature) - 2 * np.log(0.5 * erfcx(slope / np.sqrt(2 * curvature))))
-
-
-def _precision(objective: Objective, candidates: Candidates, i: int) -> tuple[np.ndarray, float]:
-    """Precision of θ [size, size] with φ and w of all tables integrated out, and the log determinant of their part."""
-    precision, log_det = objective.prior(candidates.theta)[2], 0.0
-    for term, part, hyper in zip(objective.terms, candidates.parts, HYPER, strict=True):
-        point = part.residual[i], part.jacobian[i], part.phi[i], part.w[i], candidates.theta[i]
-        curvature, volume = marginalise_nuisances(term.table, *point, hyper)
-        precision, log_det = precision + curvature, log_det + volume
-    return precision, log_det
 
 
 def unbounded_warnings(intervals: Mapping[str, Interval]) -> list[str]:

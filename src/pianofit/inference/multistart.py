@@ -118,8 +118,8 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
 
 def _survivors(objective: Objective, candidates: Candidates, within: float = np.inf) -> Candidates:
-    """The lowest candidates after merging."""
-    scores = objective.total(candidates)
+    """The lowest candidates after merging; with a limit `within`, those of the largest posterior mass."""
+    scores = objective.total(candidates) if np.isinf(within) else objective.negative_log_mass(candidates)
     distinct = deduplicate(candidates, objective.problem.parametrisation, scores, within, MERGE_DISTANCE)
     return candidates.take(np.array(distinct[:SECOND], int))
 
@@ -132,7 +132,9 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
 
 def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
     """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
-    u, free = objective.problem.parametrisation, objective.free
+    u = objective.problem.parametrisation
+    # Values and sizes that were given with a standard deviation have no other minima.
+    free = objective.free & ~u.given & (np.arange(u.size) < u.velocities.stop)
     x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
 
     def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
@@ -227,18 +229,19 @@ def rank_hammers(
     offset : discretisation error of the levels, dB [R, K].
     """
     u, table = objective.problem.parametrisation, objective.problem.observed.level
-    lower, upper, mean, sd, free = (x[u.shared :] for x in (u.lower, u.upper, u.mean, u.sd, u.free))
+    lower, upper, mean, sd, free = (x[u.velocities] for x in (u.lower, u.upper, u.mean, u.sd, u.free))
+    measured = ~free | u.given[u.velocities]
     # The bounds are the same for all velocities; measured velocities have columns of their own.
     within = np.clip(np.log(velocities), lower[free].max(), upper[free].min()) if free.any() else ()
-    grid = np.append(np.unique(within), mean[~free])
+    grid = np.append(np.unique(within), mean[measured])
     prior = 0.5 * ((grid - mean[:, None]) / np.where(free, sd, 1.0)[:, None]) ** 2
     prior = np.where(free[:, None], prior, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
     # In the order of velocities, the strokes of one call have contacts of similar duration.
-    hammers = np.tile(theta[:, STRING_SIZE : u.shared], (len(grid), 1))
+    hammers = np.tile(u.model_entries(theta)[:, STRING_SIZE : u.shared], (len(grid), 1))
     level, ended = objective.level_model.levels(np.column_stack([hammers, np.repeat(grid, len(theta))]))
-    level = level.reshape(len(grid), len(theta), -1).swapaxes(0, 1)
+    level = level.reshape(len(grid), len(theta), -1).swapaxes(0, 1) + objective.level_model.size_effect(theta)
     costs = np.where(ended.reshape(len(grid), len(theta)).T, 0.0, 1e6)[:, None] + prior
-    own = np.abs(grid - theta[:, u.shared :, None]).argmin(axis=2)
+    own = np.abs(grid - theta[:, u.velocities, None]).argmin(axis=2)
     starts = [own, *(np.tile(start, (len(theta), 1)) for start in _velocity_starts(objective.problem, grid))]
     target = table.value - offset
 
@@ -253,7 +256,7 @@ def rank_hammers(
         best, chosen = (np.concatenate(x) for x in zip(*thread_pool().map(best_of, blocks), strict=True))
         best = best + objective.prior(theta)[0]
         moved = theta.copy()
-        moved[:, u.shared :] = np.where(free, grid[chosen], mean)
+        moved[:, u.velocities] = np.where(free, grid[chosen], mean)
         order = np.argsort(best, kind="stable")
         return moved[order[np.isfinite(best[order])]]
 
@@ -308,10 +311,11 @@ def _best_velocities(
 def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
     """Initial velocities: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
     u = problem.parametrisation
-    free, mean, by_stroke = u.free[u.shared :], u.mean[u.shared :], np.zeros(u.strokes)
+    mean, by_stroke = u.mean[u.velocities], np.zeros(u.strokes)
+    measured = (~u.free | u.given)[u.velocities]
     for stroke, analysis in zip(problem.structure.stroke, problem.analyses, strict=True):
         by_stroke[stroke] = max(by_stroke[stroke], brightness(analysis))
     rank = np.empty(u.strokes)
     rank[np.argsort(-by_stroke)] = np.arange(u.strokes)
-    log_velocities = [np.where(free, np.log(FASTEST * factor**rank), mean) for factor in FACTORS]
+    log_velocities = [np.where(measured, mean, np.log(FASTEST * factor**rank)) for factor in FACTORS]
     return [np.abs(grid - start[:, None]).argmin(axis=1) for start in log_velocities]

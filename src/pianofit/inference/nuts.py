@@ -211,6 +211,9 @@ class DensityContext(NamedTuple):
     has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
     stroke: Any  # index of the stroke, by recording [R]
     column: Any  # index of the model's partial, by column of the table [K]
+    # Exponents of given and of other values by uncertain sizes [sizes, size], and derivatives of the levels by them, dB
+    # [sizes, K]. None if all sizes are exact.
+    scaling: tuple[Any, Any, Any] | None
     cents: Any  # pitch offset of every stroke
     partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
     inputs: ModelInputs
@@ -235,6 +238,7 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         model.has_level,
         model.stroke,
         model.columns,
+        (u.exponents * u.given, u.exponents * ~u.given, model.by_size) if u.sizes else None,
         model.cents,
         (o.string_number, o.law, float(problem.initial_values.geometry.length)),
         problem.model_inputs,
@@ -266,13 +270,23 @@ def reflect_into_bounds(at: DensityContext, whitened):
     """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
     free = (at.root != 0).any(axis=1)
     theta = at.theta + at.root @ whitened
-    reflected = jnp.where(free, _reflect(theta, *at.bounds), theta)
+    lower, upper = at.bounds
+    if at.scaling is not None:
+        scaled = _size_changes(at, theta) @ at.scaling[1]
+        lower, upper = lower - scaled, upper - scaled
+    reflected = jnp.where(free, _reflect(theta, lower, upper), theta)
     if at.power is None:
         return reflected
     i, p = at.power
     shift = jnp.exp(reflected[p]) * at.log_u
-    force = _reflect(theta[i], at.bounds[0][i] + shift, at.bounds[1][i] + shift)
+    force = _reflect(theta[i], lower[i] + shift, upper[i] + shift)
     return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
+
+
+def _size_changes(at: DensityContext, theta):
+    """Logarithms of the uncertain sizes over their given values [sizes]; they are the last of θ."""
+    count = 0 if at.scaling is None else len(at.scaling[0])
+    return theta[len(theta) - count :] - at.prior[0][len(theta) - count :]
 
 
 def _reflect(x, low, high):
@@ -285,7 +299,9 @@ def _reflect(x, low, high):
 def random_start(at: DensityContext, key, spread: float) -> Point:
     """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
-        jnp.zeros(at.root.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.detected)
+        jnp.zeros(at.root.shape[1]),
+        tuple(jnp.zeros(1 + len(others)) for others in HYPER),
+        tuple(jnp.zeros(len(x)) for x in at.detected),
     )
     leaves, tree = jax.tree.flatten(zero)
     keys = jax.random.split(key, len(leaves))
@@ -314,11 +330,16 @@ def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple
 def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
     """θ, whether contacts ended, and the arguments of `objective` for every table."""
     theta = reflect_into_bounds(at, point.whitened)
-    level, ended = _levels(at, cfg)(theta)
+    entries = theta
+    if at.scaling is not None:
+        entries = theta - _size_changes(at, theta) @ at.scaling[0]
+    level, ended = _levels(at, cfg)(entries)
+    if at.scaling is not None:
+        level = level.at[:, at.column].add(_size_changes(at, theta) @ at.scaling[2])
     o = at.tables[0]
     residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.has_level
     strings = [t.value[0] for t in at.tables[1:]]
-    residuals = residual, *string_residuals(theta[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    residuals = residual, *string_residuals(entries[:STRING_SIZE], strings, *at.partials, jnp)[0]
     terms = []
     for table, r, phi, w, index, x, y in zip(
         at.tables, residuals, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True
@@ -339,8 +360,8 @@ def _levels(at: DensityContext, cfg: StaticConfig):
 
     def batch(theta):
         strokes = len(at.cents)
-        shared = len(theta) - strokes
-        velocity = theta[shared:, None]
+        shared = len(theta) - strokes - (0 if at.scaling is None else len(at.scaling[0]))
+        velocity = theta[shared : shared + strokes, None]
         hammers = jnp.tile(theta[STRING_SIZE:shared], (strokes, 1))
         return jnp.tile(theta[:STRING_SIZE], (strokes, 1)), at.cents, jnp.concatenate([hammers, velocity], axis=1)
 

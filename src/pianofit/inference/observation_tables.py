@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,16 @@ class Observations:
     law: np.ndarray  # the reference's string model: Hz and 1/s [2, columns]
     cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
 
+    def with_velocities(self, entry: np.ndarray, size: int) -> Observations:
+        """Return these with the entries of θ [R] that are the log velocities of the recordings; θ has `size` entries."""
+        velocity = np.eye(size)[entry]
+        return replace(
+            self,
+            level=self.level._replace(velocity=velocity),
+            frequency=self.frequency._replace(velocity=0 * velocity[:1]),
+            decay=self.decay._replace(velocity=0 * velocity[:1]),
+        )
+
 
 def observe(
     analyses: Sequence[Analysis],
@@ -62,7 +72,6 @@ def observe(
     unit: float,
     path: bool,
     gains: bool,
-    shared: int,
 ) -> Observations:
     """The tables of recordings of one key.
 
@@ -71,7 +80,6 @@ def observe(
     reference : index of the reference recording.
     unit : the pickup's unit over full scale, dB.
     path, gains : true if the output path is unknown, and if its gain is.
-    shared : number of parameters in θ before the velocities.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
@@ -79,10 +87,9 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    velocity = np.eye(shared + layout.strokes)[shared + np.array(layout.stroke)]
-    level = _levels(analyses, layout, number, ref, unit, path, gains, velocity)
+    level = _levels(analyses, layout, number, ref, unit, path, gains)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
-    frequency, decay = _string_tables(analyses, detected, law, ref, 0 * velocity[:1])
+    frequency, decay = _string_tables(analyses, detected, law, ref)
     return Observations(number, level, frequency, decay, detected, law, cents)
 
 
@@ -122,7 +129,6 @@ def _levels(
     unit: float,
     path: bool,
     gains: bool,
-    velocity: np.ndarray,
 ) -> ObservationTable:
     tables = [a.partials for a in analyses]
     frequency = law_frequency(ref.f0, ref.B, number)
@@ -155,7 +161,7 @@ def _levels(
         variance_profile=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
-        velocity=velocity,
+        velocity=np.zeros((len(layout.stroke), 0)),
         degrees_of_freedom=np.float64(priors.STUDENT),
     )
 
@@ -182,7 +188,7 @@ def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: flo
 
 
 def _string_tables(
-    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis, velocity: np.ndarray
+    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
 ) -> tuple[ObservationTable, ObservationTable]:
     """Frequencies, cents, and log decays, both over the reference's string model, of all recordings pooled as one.
 
@@ -205,8 +211,8 @@ def _string_tables(
     scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
     common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), growth, common, priors.FREQUENCY, velocity),
-        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY, velocity),
+        _string_table(law, *_pool_recordings(number, pitch), growth, common, priors.FREQUENCY),
+        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY),
     )
 
 
@@ -226,9 +232,7 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 
-def _string_table(
-    law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior, velocity: np.ndarray
-) -> ObservationTable:
+def _string_table(law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> ObservationTable:
     # The first three hyperparameters are used here, excess and smooth deviation; the others stay at their priors.
     mean = np.append(hyper.log_median, [NONE, NONE])
     ones = np.ones((1, len(value)))
@@ -248,6 +252,6 @@ def _string_table(
         variance_profile=growth,
         ratio=0 * ones,
         prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
-        velocity=velocity,
+        velocity=np.zeros((1, 0)),
         degrees_of_freedom=np.float64(priors.STUDENT),
     )

@@ -4,11 +4,21 @@ If the felt law has a power, its stiffness is searched as the static force at a 
 Strokes determine the force where they compress the felt. K_H alone, whose unit changes with p, trades off against p.
 All other parameters of a law are logarithms of their values. No stroke is special: without a measured velocity, the
 scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction of the prior.
+
+Sizes that were given with a standard deviation follow the velocities. The model always computes with the given length
+and mass. The two scalings of a string (docs/model.md) make this exact: a string of another length sounds the same if
+all its lengths, c, κ and b2 scale with it. So each entry of θ is of one of two kinds:
+
+    a given value       θ is its logarithm, and the model gets θ - Σ g δ
+    any other value     the model gets θ, and the logarithm of the value is θ + Σ g δ
+
+δ is the deviation of the logarithm of a size from its given value, and g the exponent with which the value scales. The
+prior stays diagonal, and every method works on the same θ.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,6 +48,10 @@ class Parametrisation:
     log_reference_compression: float  # log of the reference compression, m
     geometry: Geometry  # strike position and contact width are parameters
     law: FeltLaw
+    sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
+    # Exponent g with which the value of every entry scales with every size [sizes, size].
+    exponents: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    given: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # mask of the values that the user gave [size]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -46,11 +60,13 @@ class Parametrisation:
 
     @property
     def shared(self) -> int:
-        """Number of shared parameters; the velocities follow."""
+        """Number of shared parameters; the velocities follow, then the sizes."""
         return len(self.names)
 
     def index_of(self, name: str) -> int:
-        """Index of a parameter."""
+        """Index of a shared parameter, or of a size that was given with a standard deviation."""
+        if name in self.sizes:
+            return self.velocities.stop + self.sizes.index(name)
         return self.names.index(name)
 
     @cached_property
@@ -66,13 +82,18 @@ class Parametrisation:
 
     @property
     def size(self) -> int:
-        """Number of parameters, velocities included."""
+        """Number of parameters, velocities and sizes included."""
         return len(self.mean)
 
     @property
     def strokes(self) -> int:
         """Number of velocities."""
-        return self.size - self.shared
+        return self.size - self.shared - len(self.sizes)
+
+    @property
+    def velocities(self) -> slice:
+        """Place of the velocities."""
+        return slice(self.shared, self.shared + self.strokes)
 
     @property
     def free(self) -> np.ndarray:
@@ -86,12 +107,39 @@ class Parametrisation:
 
     # --- coordinates: θ has the force, log values have K_H ------------------------------------------------------------
 
+    def size_changes(self, theta: np.ndarray) -> np.ndarray:
+        """δ, the logarithms of the sizes over their given values [..., sizes]."""
+        return theta[..., self.velocities.stop :] - self.mean[self.velocities.stop :]
+
+    def model_entries(self, theta: np.ndarray) -> np.ndarray:
+        """`theta` as the model gets it, at the given sizes [..., size]."""
+        if not self.sizes:
+            return theta
+        return theta - self.size_changes(theta) @ (self.exponents * self.given)
+
+    @property
+    def moving(self) -> np.ndarray:
+        """Mask of the model's entries that change with θ: the free ones, and given ones that scale [size]."""
+        return self.free | (self.given & self.exponents.any(axis=0) if self.sizes else False)
+
+    def by_theta(self, jacobian: np.ndarray) -> np.ndarray:
+        """Derivatives by θ from those by the model's entries [..., size]; 0 for fixed parameters."""
+        if self.sizes:
+            jacobian = jacobian.copy()
+            jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
+        return jacobian * self.free
+
     def _shift(self, theta: np.ndarray) -> np.ndarray:
-        """θ minus the log values [..., size]: p log u_ref for the force, else 0. Both have the same p."""
+        """θ minus the log values [..., size]: p log u_ref for the force, -Σ g δ for values that were not given.
+
+        θ and log values have the same p and sizes.
+        """
         shift = np.zeros(theta.shape)
+        if self.sizes:
+            shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            shift[..., force] = np.exp(theta[..., p]) * self.log_reference_compression
+            shift[..., force] += np.exp(theta[..., p]) * self.log_reference_compression
         return shift
 
     def log_values(self, theta: np.ndarray) -> np.ndarray:
@@ -104,10 +152,16 @@ class Parametrisation:
 
     def tangent(self, theta: np.ndarray) -> np.ndarray:
         """d(log values)/dθ [size, size] at `theta` [size]."""
-        out = np.eye(self.size)
+        return np.eye(self.size) - self._shift_slopes(theta)
+
+    def _shift_slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Derivatives of the shift by θ [..., size, size]."""
+        out = np.zeros((*theta.shape, self.size))
         if self.force_and_exponent_index:
-            force, _ = self.force_and_exponent_index
-            out[self.force_and_exponent_index] = -self._shift(theta)[force]
+            force, p = self.force_and_exponent_index
+            out[..., force, p] = np.exp(theta[..., p]) * self.log_reference_compression
+        if self.sizes:
+            out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 
     def value(self, name: str, log: float) -> float:
@@ -117,7 +171,7 @@ class Parametrisation:
 
     def string(self, theta: np.ndarray) -> String:
         """The string at `theta` [size]."""
-        return String(*map(self.value, STRING_NAMES, theta[:STRING_SIZE]))
+        return String(*map(self.value, STRING_NAMES, self.log_values(theta)[:STRING_SIZE]))
 
     def hammer(self, theta: np.ndarray, stroke: int) -> Any:
         """The hammer at `theta` [size] with the velocity of one stroke."""
@@ -125,9 +179,11 @@ class Parametrisation:
         return self.law.make_hammer({name: self.value(name, logs[name]) for name in self.law.hammer_parameters})
 
     def geometry_at(self, theta: np.ndarray) -> Geometry:
-        """The geometry with the strike position and contact width at `theta` [size]."""
-        strike_position, width = (float(np.exp(theta[self.index_of(name)])) for name in ("x0", "width"))
-        return self.geometry._replace(strike_position=strike_position, width=width)
+        """The geometry with strike position, contact width and uncertain sizes at `theta` [size]."""
+        logs = self.log_values(theta)
+        fields = {"x0": "strike_position", "width": "width", "L": "length", "M_S": "mass", "pickup": "pickup"}
+        names = ("x0", "width", *(name for name in self.sizes if name in fields))
+        return self.geometry._replace(**{fields[name]: float(np.exp(logs[self.index_of(name)])) for name in names})
 
     # --- bounds -------------------------------------------------------------------------------------------------------
 
@@ -136,7 +192,7 @@ class Parametrisation:
         return float(self.lower[i]), float(self.upper[i])
 
     def bounds_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of all parameters at `theta` [..., size]: those of the force depend on p."""
+        """Lower and upper bounds of θ at `theta` [..., size]: those of the force depend on p, others on sizes."""
         shift = self._shift(theta)
         return self.lower + shift, self.upper + shift
 
@@ -151,12 +207,9 @@ class Parametrisation:
         return self.free & ((theta <= lower + 1e-9) | (theta >= upper - 1e-9))
 
     def bound_jacobian(self, theta: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """d θ/d(free θ) [B, size, size] at `theta`: with K_H at a bound the force follows p, as in `project`."""
-        out = np.tile(np.eye(self.size), (len(theta), 1, 1))
-        if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            out[:, force, p] = np.where(active[:, force] & self.free[p], self._shift(theta)[:, force], 0.0)
-        return out
+        """d θ/d(free θ) [B, size, size] at `theta`: with a value at a bound θ follows its shift, as in `project`."""
+        follows = active[:, :, None] & self.free
+        return np.eye(self.size) + np.where(follows, self._shift_slopes(theta), 0.0)
 
     def fix_parameter(self, i: int, log: float) -> Parametrisation:
         """Fix the logarithm of one value by equal bounds."""

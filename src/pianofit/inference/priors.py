@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,8 @@ VELOCITY = 1.5
 VELOCITY_SD = 0.8
 # String: about the analysis of one recording, wide enough to have no effect.
 STRING_SD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
+# Exponents with which values scale with the string length if the sound stays the same.
+LENGTH_EXPONENTS = {"c": 1.0, "kappa": 2.0, "b2": 2.0, "x0": 1.0, "width": 1.0}
 
 # --- between string and table of partials -----------------------------------------------------------------------------
 # The gain of an output path is unknown, dB.
@@ -124,6 +126,14 @@ class InitialValues:
     reference_hammer: Hammer  # the literature's for the key, with given values; sets the scale of contacts
     user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
     law: FeltLaw = DEFAULT_LAW
+    # Standard deviations of the logarithms of given values, by name; without exact ones. L, M_S, pickup and scale are
+    # sizes.
+    relative_sd: dict[str, float] = field(default_factory=dict)
+
+    def size_value(self, name: str) -> float:
+        """The given value of L, M_S, pickup or scale."""
+        g = self.geometry
+        return float({"L": g.length, "M_S": g.mass, "pickup": g.pickup, "scale": self.scale or 1.0}[name])
 
     @property
     def unknown_path(self) -> bool:
@@ -138,6 +148,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     ----------
     velocity : measured hammer velocity, m/s. It overrides the setup's.
     """
+    spread, setup = setup.relative_sds, setup.exact
     key = float(np.clip(midi_of(analysis.f0), 21, 108))
     preset, law = typical(key), setup.law
     geometry, assumed = _geometry(setup, preset.geometry)
@@ -150,7 +161,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     fixed = dict.fromkeys(setup.fixed, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
     measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
     if measured is not None:
-        values["v_H0"], fixed["v_H0"] = measured, "fixed"
+        values["v_H0"], fixed["v_H0"] = float(measured), "fixed"
     elif setup.pickup_scale is None and "v_H0" not in fixed:
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
@@ -176,6 +187,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         reference_hammer=Hammer(**hammer | {name: values[name] for name in shared}),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
+        relative_sd=spread,
     )
 
 

@@ -17,7 +17,7 @@ from ..io.number_format import counted
 from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
-from ..setup import RecordingInfo, Setup, recording_info_for
+from ..setup import RecordingInfo, Setup, recording_info_for, relative_sd
 from . import priors
 from .observation_tables import Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
@@ -36,6 +36,9 @@ LONGEST = 2.5
 RETURNS = 2.0
 # The rows of partials of a compiled program are a multiple of this.
 ROWS = 64
+# Sizes that can have a standard deviation and are not entries of the model: string length and mass, position and scale
+# of the pickup.
+SIZES = ("L", "M_S", "pickup", "scale")
 # Range of the strike position, as a fraction of the string: on its first part, on no node of the second partial.
 STRIKE = (0.04, 0.33)
 # Range of the effective width of the contact, relative to the given one.
@@ -101,22 +104,29 @@ class FitProblem:
 
     @property
     def reported_parameters(self) -> dict[str, int]:
-        """Indices in θ, by name, of the free shared parameters and of the reference stroke's velocity."""
+        """Indices in θ, by name, of the free shared parameters, the reference stroke's velocity and uncertain sizes."""
         u = self.parametrisation
-        return {name: i for i, name in (*enumerate(u.names), (self.reference_velocity_index, "v_H0")) if u.free[i]}
+        named = (*enumerate(u.names), (self.reference_velocity_index, "v_H0"))
+        return {name: i for i, name in named if u.free[i]} | self._size_indices
+
+    @property
+    def _size_indices(self) -> dict[str, int]:
+        """Indices in θ, by name, of the sizes that were given with a standard deviation."""
+        return {name: self.parametrisation.index_of(name) for name in self.parametrisation.sizes}
 
     @property
     def parameter_indices(self) -> dict[str, int]:
-        """Indices in θ, by name, of the parameters of the felt law and of every velocity.
+        """Indices in θ, by name, of the parameters of the felt law, of every velocity, and of uncertain sizes.
 
         `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N.
         """
         u = self.parametrisation
         shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > LOG_ABSENT_LOSS}
-        strokes = range(u.shared, u.size)
-        return shared | {
+        strokes = range(u.size)[u.velocities]
+        velocities = {
             "v_H0" if at == self.reference_velocity_index else f"v_H0 {at - u.shared + 1}": at for at in strokes
         }
+        return shared | velocities | self._size_indices
 
 
 def build_problem(
@@ -136,10 +146,11 @@ def build_problem(
     _check_recordings(recordings, analyses)
     entries = [recording_info_for(setup, recording.path, len(recordings) == 1) for recording in recordings]
     structure = _structure(entries)
-    measured: list[float | None] = [None] * structure.strokes
+    given: list[float | None] = [None] * structure.strokes
     for stroke, entry in zip(structure.stroke, entries, strict=True):
         v = velocity if velocity is not None else entry.v_H0
-        measured[stroke] = measured[stroke] if v is None else v
+        given[stroke] = given[stroke] if v is None else v
+    measured = [None if v is None else float(v) for v in given]
     # The fastest recording with a measured velocity, or else the brightest.
     order = [(measured[s] or 0.0, brightness(a)) for s, a in zip(structure.stroke, analyses, strict=True)]
     reference = order.index(max(order))
@@ -148,11 +159,12 @@ def build_problem(
     start = starting_values(analyses[reference], replace(setup, recordings=()), measured[stroke])
     unnamed = "v_H0" in setup.fixed and measured[stroke] is None
     if unnamed:
-        measured[stroke] = setup.fixed["v_H0"]
+        given[stroke] = setup.fixed["v_H0"]
+        measured[stroke] = float(setup.fixed["v_H0"])
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    path, gains, shared = start.unknown_path, start.scale is None, len(names_of(start.law))
-    observed = observe(analyses, structure, reference, scale, path, gains, shared)
-    unknowns, inputs, cfg = _model(start, measured, observed, max(r.rate for r in recordings))
+    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
+    unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
+    observed = observed.with_velocities(unknowns.velocities.start + np.array(structure.stroke), unknowns.size)
     if not unknowns.free.any():
         raise FitError("nothing is left to fit: [fixed] fixes all parameters; remove those that the fit should find")
     return FitProblem(
@@ -233,7 +245,7 @@ def _model(
     unknowns = _parametrisation(start, measured, log_u)
     round_trip = 2 * geometry.strike_position / string.c
     contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)
-    free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
+    free = np.append(np.flatnonzero(unknowns.moving[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
     inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)
@@ -256,22 +268,44 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
 
 def _parametrisation(start: InitialValues, measured: Sequence[float | None], log_u: float) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
-    names = names_of(law)
+    names, sizes = names_of(law), tuple(name for name in SIZES if name in start.relative_sd)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
     # A loss that the law does not have gets no spread, so it is fixed.
     mean = [np.log(max(values[n], 1e-300)) if n in spread else LOG_ABSENT_LOSS for n in names]
     sd = [0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names]
     if start.unknown_path:  # it absorbs the effect of the width
         sd[names.index("width")] = 0.0
-    mean = np.array(mean + [np.log(priors.VELOCITY if v is None else v) for v in measured])
-    sd = np.array(sd + [priors.VELOCITY_SD if v is None else 0.0 for v in measured])
-    bounds = {n: (box.lower, box.upper) for n, box in (ALL_PARAMETERS | law.hammer_parameters).items()}
-    bounds["x0"] = max(STRIKE[0] * geometry.length, 0.51 * geometry.width), STRIKE[1] * geometry.length
-    bounds["width"] = WIDTHS[0] * geometry.width, WIDTHS[1] * geometry.width
-    bounds |= start.bounds
-    lower, upper = np.log([bounds[n] for n in names] + [bounds["v_H0"]] * len(measured)).T
+    sd = [float(np.hypot(own, start.relative_sd.get(n, 0.0))) for n, own in zip(names, sd, strict=True)]
+    mean += [np.log(priors.VELOCITY if v is None else float(v)) for v in measured]
+    sd += [priors.VELOCITY_SD if v is None else relative_sd(v) for v in measured]
+    mean = np.array(mean + [np.log(start.size_value(name)) for name in sizes])
+    sd = np.array(sd + [start.relative_sd[name] for name in sizes])
+    lower, upper = _bounds(start, names, len(measured), len(sizes))
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
     if law.power is not None:  # the force is searched
         stiffness, exponent = law.power
         mean[names.index(stiffness)] += values[exponent] * log_u
-    return Parametrisation(mean, sd, lower, upper, log_u, geometry, law)
+    # A fitted width is an effective one, with the given width only as the centre of its prior.
+    given = [start.fixed.get(n) == "fixed" and (n != "width" or start.unknown_path) for n in names]
+    given = np.array([*given, *(v is not None for v in measured)])
+    given = np.append(given, np.zeros(len(sizes), bool))
+    scaling = {"L": priors.LENGTH_EXPONENTS, "M_S": {"M_H": 1.0, **{n: law.force_exponent(n) for n in law.parameters}}}
+    exponents = np.zeros((len(sizes), len(mean)))
+    for row, size in enumerate(sizes):
+        exponents[row, : len(names)] = [scaling.get(size, {}).get(name, 0.0) for name in names]
+    exponents *= given | (sd > 0)  # an assumed value, such as the contact width, is fixed as it is
+    return Parametrisation(mean, sd, lower, upper, log_u, geometry, law, sizes, exponents, given)
+
+
+def _bounds(start: InitialValues, names: Sequence[str], strokes: int, sizes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the logarithms of all values [size]. Values given with a standard deviation have only their prior."""
+    geometry = start.geometry
+    bounds = {n: (box.lower, box.upper) for n, box in (ALL_PARAMETERS | start.law.hammer_parameters).items()}
+    bounds["x0"] = max(STRIKE[0] * geometry.length, 0.51 * geometry.width), STRIKE[1] * geometry.length
+    bounds["width"] = WIDTHS[0] * geometry.width, WIDTHS[1] * geometry.width
+    bounds |= start.bounds
+    logs = np.log([bounds[n] for n in names] + [bounds["v_H0"]] * strokes)
+    if "x0" in start.relative_sd:
+        logs[names.index("x0")] = -np.inf, np.inf
+    lower, upper = np.concatenate([logs, np.tile([-np.inf, np.inf], (sizes, 1))]).T
+    return lower, upper

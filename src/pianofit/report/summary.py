@@ -12,7 +12,7 @@ from ..result import Result
 from ..schema.fit import Recontact, RecordingFit
 from ..schema.quantities import Quantities
 from .modal_response import modal_response_line
-from .text import recontact_text
+from .text import is_identified, recontact_text
 
 
 def fit_summary(result: Result) -> str:
@@ -22,8 +22,8 @@ def fit_summary(result: Result) -> str:
     # Invariants come first, because they do not depend on assumed sizes or velocities.
     lines += [line for table in (fit.invariants, fit.parameters) for line in _quantity_lines(table)]
     derived, levels, criterion = fit.derived, fit.levels, fit.criterion
-    contact = _contact(derived.contact_ms, derived.recontacts)
-    lines.append(f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)}), B {derived.B:.4g}, {contact}")
+    contact = f", {_contact(derived.contact_ms, derived.recontacts)}" * is_identified(fit, "contact_ms")
+    lines.append(f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)}), B {derived.B:.4g}{contact}")
     hammer = levels.reference_hammer_db
     only = "" if hammer is None else f", initial hammer {hammer:.2f} dB"
     where = "levels of partials" + (f" in {len(fit.recordings)} recordings" if several else "")

@@ -11,8 +11,9 @@ from pathlib import PurePath
 
 from ..felt import LAWS
 from ..io.number_format import number, with_interval
+from ..schema.dependencies import derived_status
 from ..schema.fit import Criterion, Fit, Recontact
-from ..schema.quantities import Quantity
+from ..schema.quantities import Quantity, Status
 
 STATUS = {  # status -> mark, explanation
     "fitted": ("●", "estimated from the recording"),
@@ -166,9 +167,7 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
     """List (name, number, explanation) of the figures at the top of the page."""
     levels, derived, overall, count = fit.levels, fit.derived, fit.criterion.bands["global"], len(fit.recordings)
     recordings, bend = f" in {count} recordings" if count > 1 else "", glide(fit)
-    recontacts = recontact_text(derived.recontacts)
-    force, depth = number(derived.max_force_N, 3), number(derived.max_compression_mm, 3)
-    return [
+    tiles = [
         (
             "Error of the partials’ levels",
             f"{number(levels.fitted_db, 2)} dB",
@@ -185,12 +184,27 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
             f"{number(derived.f0, 5)} Hz",
             f"inharmonicity B = {number(derived.B, 3)}" + (f"; pitch {bend} as the note decays" if bend else ""),
         ),
-        (
-            "Hammer contact",
-            f"{number(derived.contact_ms, 3)} ms",
-            f"largest force {force} N, largest compression {depth} mm" + (f"; {recontacts}" if recontacts else ""),
-        ),
     ]
+    if not is_identified(fit, "contact_ms"):
+        return tiles
+    explanation = "; ".join(filter(None, (_forces(fit), recontact_text(derived.recontacts))))
+    return [*tiles, ("Hammer contact", f"{number(derived.contact_ms, 3)} ms", explanation)]
+
+
+def is_identified(fit: Fit, name: str) -> bool:
+    """Return whether a quantity of `schema.dependencies.STANDS_ON` stands only on identified quantities."""
+    reported = (*fit.parameters.values(), *fit.invariants.values())
+    states: dict[str, Status] = {quantity.name: quantity.status for quantity in reported}
+    return derived_status(name, states) not in ("not-identifiable", "at-bound")
+
+
+def _forces(fit: Fit) -> str:
+    """Return the largest force and compression, as far as they are identified."""
+    shown = {
+        "max_force_N": f"largest force {number(fit.derived.max_force_N, 3)} N",
+        "max_compression_mm": f"largest compression {number(fit.derived.max_compression_mm, 3)} mm",
+    }
+    return ", ".join(text for name, text in shown.items() if is_identified(fit, name))
 
 
 def recontact_text(contacts: Sequence[Recontact]) -> str:
@@ -217,7 +231,9 @@ def initial_hammer_text(fit: Fit) -> str:
     if initial_hammer is None or fitted is None:
         return ""
     conclusion = "The levels of the partials therefore do not support the fitted hammer over the initial one."
-    if initial_hammer > fitted + 0.1:
+    if not is_identified(fit, "hammer"):
+        conclusion = "The recordings do not identify the hammer, so this does not support the fitted one."
+    elif initial_hammer > fitted + 0.1:
         conclusion = "The fitted hammer explains more of the levels."
     return (
         f"With the best velocities, gain and output path, the initial hammer leaves an error of {initial_hammer:.1f} "

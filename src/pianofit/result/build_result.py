@@ -112,7 +112,7 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
                 weight=float(weight),
                 negative_log_posterior=float(minima.nll[b]),
                 parameters={n: u.value(n, log[n]) for n in u.reported if log[n] > LOG_ABSENT_LOSS},
-                velocities=np.exp(minima.candidates.theta[b, u.shared :]),
+                velocities=np.exp(minima.candidates.theta[b, u.velocities]),
                 path_db=None if path is None else path.db,
                 path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
             )
@@ -152,16 +152,17 @@ def _covariance(fit: InferenceResult) -> Covariance:
 
 def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
     """The posterior draws, with those of the invariants that vary."""
-    draws, u, g = view.draws or {}, fit.problem.parametrisation, fit.problem.initial_values.geometry
+    draws, u = view.draws or {}, fit.problem.parametrisation
 
     def drawn(name: str) -> np.ndarray:
         return np.asarray(draws[name] if name in draws else record.parameters[name].value)
 
+    length, mass = drawn("L"), drawn("M_S")
     table = {
-        "f0": drawn("c") / (2 * g.length),
-        "B": (drawn("kappa") * np.pi / (drawn("c") * g.length)) ** 2,
-        "M_H/M_S": drawn("M_H") / g.mass,
-        "x0/L": drawn("x0") / g.length,
+        "f0": drawn("c") / (2 * length),
+        "B": (drawn("kappa") * np.pi / (drawn("c") * length)) ** 2,
+        "M_H/M_S": drawn("M_H") / mass,
+        "x0/L": drawn("x0") / length,
     }
     strokes = {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
     table |= {name: draws[own] / drawn("v_H0") for name, own in strokes.items() if own in draws}
@@ -169,7 +170,7 @@ def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
         stiffness, p = (drawn(u.names[i]) for i in u.force_and_exponent_index or ())
         # At the reference velocity shown. If a common scale s of the velocities is unknown: K_H s^(1-p), s v.
         scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
-        table["F/M_S"] = stiffness * scale ** (1 - p) * np.exp(p * u.log_reference_compression) / g.mass
+        table["F/M_S"] = stiffness * scale ** (1 - p) * np.exp(p * u.log_reference_compression) / mass
     varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
     return Draws({**draws, **varying}, tuple(varying), view.log_likelihood, view.observed)
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interval, Posterior
+from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interval, Parametrisation, Posterior
 from ..parameters import FIT_NAMES
+from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
-from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
+from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
+# Statuses of two velocities, the one that decides about their ratio last.
+SEVERITY: tuple[Status, ...] = ("given", "assumed", "scaled", "fitted", "at-bound", "not-identifiable")
 
 
 def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
@@ -30,9 +33,9 @@ def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
     problem, u = fit.problem, fit.problem.parametrisation
     table = []
     for at, measured, status in zip(
-        range(u.shared, u.size), problem.measured_velocity, velocity_statuses(fit), strict=True
+        range(u.size)[u.velocities], problem.measured_velocity, velocity_statuses(fit), strict=True
     ):
-        value = float(np.exp(fit.estimate.theta[at])) if measured is None else float(measured)
+        value = float(np.exp(fit.estimate.theta[at])) if measured is None or u.free[at] else float(measured)
         note = "its scale comes from the prior" if status == "scaled" else ""
         quantity = Quantity(
             "v_H0", value, UNITS["v_H0"], None, status, meaning_of("v_H0"), note, float(np.exp(fit.initial_theta[at]))
@@ -62,12 +65,24 @@ def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Qua
             note = "effective width: a raised cosine of this width acts like the unknown contact window"
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
-        interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
+        # An assumed value has no interval, although its part that scales with an uncertain length varies.
+        interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i)) if u.free[i] else None
         quantity = Quantity(name, value, unit, None, states[name], meaning, note, float(start.initial[name]))
         table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
     last = len(PARAMETER_ORDER)
     order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
-    return Quantities.of([*(table[name] for name in order), *sizes(start)])
+    return Quantities.of([*(table[name] for name in order), *(_size(fit, quantity) for quantity in sizes(start))])
+
+
+def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
+    """A size; with its posterior value and interval if it was given with a standard deviation."""
+    u, name = fit.problem.parametrisation, quantity.name
+    if name not in u.sizes:
+        return quantity
+    at = u.index_of(name)
+    value = float(np.exp(fit.posterior.mean[0, at]))
+    interval = fit.alternative_interval(name) or fit.posterior.value_interval(np.eye(u.size)[at], value)
+    return _with_interval(replace(quantity, value=value), interval)
 
 
 def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities:
@@ -75,19 +90,37 @@ def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities
 
     They do not depend on the velocity scale either, except the felt force at a compression, whose status is `scaled`.
     """
-    u, g = fit.problem.parametrisation, fit.problem.initial_values.geometry
+    u = fit.problem.parametrisation
     c, kappa = (u.index_of(name) for name in ("c", "kappa"))
-    B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / g.length) ** 2
-    unit = np.eye(u.size)
+    direction = 2 * (_over(u, "kappa", "L") - _unit(u, "c"))
+    B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / _size_value(fit, "L")) ** 2
     table = [
-        _ratio(fit, states, "f0", "c", 2 * g.length, "Hz"),
-        _combined("B", fit.gauge_fixed, 2 * (unit[kappa] - unit[c]), B, "1", (states["c"], states["kappa"])),
-        _ratio(fit, states, "M_H/M_S", "M_H", g.mass),
-        _ratio(fit, states, "x0/L", "x0", g.length),
+        _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
+        _combined("B", fit.gauge_fixed, direction, B, "1", states),
+        _ratio(fit, states, "M_H/M_S", "M_H", "M_S"),
+        _ratio(fit, states, "x0/L", "x0", "L"),
     ]
-    if u.force_and_exponent_index and u.free[u.force_and_exponent_index[0]]:  # a given K_H has no reference compression
-        table.append(_static_force(fit, states, *u.force_and_exponent_index))
+    if (direction := force_direction(fit)) is not None:
+        table.append(_static_force(fit, states, direction))
     return Quantities.of([*table, *_velocity_ratios(fit)])
+
+
+def _unit(u: Parametrisation, name: str) -> np.ndarray:
+    """The direction of one logarithm [size]; 0 for an exact size."""
+    return np.eye(u.size)[u.index_of(name)] if name in (*u.names, *u.sizes) else np.zeros(u.size)
+
+
+def _over(u: Parametrisation, name: str, size: str) -> np.ndarray:
+    """The direction of the logarithm of a value over a size [size]."""
+    return _unit(u, name) - _unit(u, size)
+
+
+def _size_value(fit: InferenceResult, size: str) -> float:
+    """The string length L, m, or mass M_S, kg: as given, or at the best minimum if it is uncertain."""
+    u = fit.problem.parametrisation
+    if size in u.sizes:
+        return float(np.exp(fit.posterior.mean[0, u.index_of(size)]))
+    return fit.problem.initial_values.size_value(size)
 
 
 def _combined(
@@ -96,41 +129,52 @@ def _combined(
     direction: np.ndarray,
     value: float,
     unit: str,
-    factors: Sequence[Status],
+    states: Mapping[str, Status],
     note: str = "",
 ) -> Quantity:
-    """A product of powers, with exponents `direction` [size]; `factors` are the statuses of its factors."""
-    status = invariant_status(factors, posterior.sd(direction))
+    """A product of powers, with exponents `direction` [size]; `states` are the statuses of all that it stands on."""
+    status = derived_status(name, states, posterior.sd(direction))
     quantity = Quantity(name, value, unit, None, status, meaning_of(name), note)
     return _with_interval(quantity, posterior.value_interval(direction, value))
 
 
 def _ratio(
-    fit: InferenceResult, states: Mapping[str, Status], name: str, of: str, divisor: float, unit: str = "1"
+    fit: InferenceResult,
+    states: Mapping[str, Status],
+    name: str,
+    of: str,
+    size: str,
+    factor: float = 1.0,
+    unit: str = "1",
 ) -> Quantity:
-    """The parameter `of` over a fixed size, with the interval by the other method if there is one."""
-    at, other = fit.problem.parametrisation.index_of(of), fit.alternative_interval(of)
-    value = float(np.exp(fit.posterior.mean[0, at])) / divisor
-    direction = np.eye(fit.problem.parametrisation.size)[at]
-    quantity = _combined(name, fit.gauge_fixed, direction, value, unit, [states[of]])
-    if other is None:
+    """The parameter `of` over `factor` times a size.
+
+    The interval is that of the other method if there is one and the size is exact. A profile follows one parameter, not
+    a ratio.
+    """
+    u, other = fit.problem.parametrisation, fit.alternative_interval(of)
+    divisor = factor * _size_value(fit, size)
+    value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
+    quantity = _combined(name, fit.gauge_fixed, _over(u, of, size), value, unit, states)
+    if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
 
 
-def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:
+def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction: np.ndarray) -> Quantity:
     """The static felt force at the reference compression over the string mass."""
     problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
-    direction = np.eye(u.size)[stiffness] + float(np.exp(z[p])) * u.log_reference_compression * np.eye(u.size)[p]
+    stiffness, p = u.force_and_exponent_index or (0, 0)
     note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
-    decisive: dict[Status, bool] = {
-        "at-bound": "at-bound" in (states[u.names[stiffness]], states[u.names[p]]),
-        "not-identifiable": u.names[stiffness] in unidentifiable_parameters(fit),
-    }
-    factors: list[Status] = [status for status, holds in decisive.items() if holds]
-    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass
-    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", factors, note)
+    # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
+    felt: dict[str, Status] = {}
+    if u.names[stiffness] in unidentifiable_parameters(fit):
+        felt[FELT] = "not-identifiable"
+    elif "at-bound" in (states[u.names[stiffness]], states[u.names[p]]):
+        felt[FELT] = "at-bound"
+    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass  # θ belongs to the given mass
+    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", felt, note)
     is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
     return replace(quantity, status="scaled") if is_scaled else quantity
 
@@ -144,8 +188,8 @@ def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
         if (at := shared + stroke) != reference:
             name, file = f"v/v_ref {stroke + 1}", problem.recordings[problem.structure.stroke.index(stroke)].path
             value, direction = float(np.exp(z[at] - z[reference])), unit[at] - unit[reference]
-            factors: list[Status] = [state, states[reference - shared]]
-            table.append(_combined(name, fit.posterior, direction, value, "1", factors, Path(file).name))
+            both = SEVERITY[max(map(SEVERITY.index, (state, states[reference - shared])))]
+            table.append(_combined(name, fit.posterior, direction, value, "1", {"v_H0": both}, Path(file).name))
     return table
 
 

@@ -53,8 +53,10 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     recordings = np.flatnonzero(np.array(problem.structure.group) == group)
     detected = np.any(np.asarray(observed.level.detected)[recordings] > 0, axis=0)
     number = observed.number[detected]
-    frequency = string_law(candidates.theta[which, :STRING_SIZE], number, problem.initial_values.geometry.length)[0][0]
-    velocity = np.exp(observed.level.velocity[recordings] @ candidates.theta[which])
+    u, theta = problem.parametrisation, candidates.theta[which]
+    string = u.model_entries(theta)[:STRING_SIZE]
+    frequency = string_law(string, number, problem.initial_values.geometry.length)[0][0]
+    velocity = np.exp(observed.level.velocity[recordings] @ theta)
     velocities, first = np.unique(velocity, return_index=True)
     return OutputPath(
         frequency,

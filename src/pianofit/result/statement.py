@@ -46,7 +46,7 @@ def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status]
         return (
             f"{text} The fitted velocities differ by a factor of {ratio:.3g} ({low:.3g} to {high:.3g}), those of a "
             f"pianist by at most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not "
-            "describe. Do not interpret the felt parameters and velocities."
+            "describe. Do not interpret the felt parameters, the velocities and the hammer mass."
         )
     if problem.velocity_scale_free:
         scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))

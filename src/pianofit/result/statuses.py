@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..inference import STRING_SIZE, InferenceResult
+from ..schema.dependencies import CONTACT, FELT, MAX_LOG_SD, VELOCITIES, foundations
 from ..schema.quantities import Status
 
 # A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
 MAX_SD_OVER_PRIOR = 0.7
-# Nor is one whose standard deviation of log(value) exceeds this.
-MAX_LOG_SD = 0.7
 # A calibrated recording of the described string is reproduced within hundredths of a decibel. With an excess beyond
 # this, dB, an effect outside the model is present and biases the felt parameters.
 FELT_EXCESS_DB = 0.1
-# With an excess beyond this, dB, the hammer mass is in doubt too.
+# With an excess beyond this, dB, the force over time and the velocity are in doubt too.
 HAMMER_EXCESS_DB = 0.5
 # Ratio of a pianist's fastest to slowest hammer velocity: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
 PIANIST_VELOCITY_RATIO = 20.0
+# Probability of velocities as different as those found if all strokes were equal, below which they differ.
+SIGNIFICANCE = 0.05
+# Standard deviation of the logarithm of a velocity that was given as exact, so that a test has no zero.
+EXACT = 1e-9
 
 
 def statuses(fit: InferenceResult) -> dict[str, Status]:
@@ -31,7 +35,7 @@ def statuses(fit: InferenceResult) -> dict[str, Status]:
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
     def status(i: int, name: str) -> Status:
-        if not u.free[i]:
+        if not u.free[i] or u.given[i]:
             return "assumed" if start.fixed.get(name) == "assumed" else "given"
         if at_bound[i]:
             return "at-bound"
@@ -51,19 +55,36 @@ def scaled_parameters(fit: InferenceResult) -> tuple[str, ...]:
 
 
 def path_compared(fit: InferenceResult) -> bool:
-    """True if one output path was recorded with two velocities whose 95 % interval excludes equality."""
+    """True if the strokes through one output path did not all have one velocity, by one test over all of them.
+
+    A test of the fastest against the slowest stroke would not be one test: the largest of many differences is large by
+    chance. If all n strokes of a path had one velocity, the squared distance of the n - 1 differences from 0, in units
+    of their joint covariance, would be chi-squared with n - 1 degrees of freedom. Its probability is averaged over the
+    minima.
+    """
     layout = fit.problem.structure
     paths = [
         sorted({s for s, g in zip(layout.stroke, layout.group, strict=True) if g == group})
         for group in set(layout.group)
     ]
-    return any(_fastest_over_slowest(fit, strokes)[0] > 0 for strokes in paths)
+    return any(_probability_of_one_velocity(fit, strokes) < SIGNIFICANCE for strokes in paths if len(strokes) > 1)
+
+
+def _probability_of_one_velocity(fit: InferenceResult, strokes: Sequence[int]) -> float:
+    """Probability of differences as large as those found if all strokes had one velocity."""
+    posterior, index = fit.posterior, fit.problem.parametrisation.shared + np.array(strokes)
+    contrasts = np.eye(len(index))[1:] - np.eye(len(index))[0]
+    difference = posterior.mean[:, index] @ contrasts.T
+    covariance = contrasts @ posterior.covariance[:, index[:, None], index] @ contrasts.T
+    covariance = covariance + EXACT**2 * np.eye(len(contrasts))
+    squared = (difference * np.linalg.solve(covariance, difference[..., None])[..., 0]).sum(axis=1)
+    return float(posterior.weight @ chi2.sf(squared, len(contrasts)))
 
 
 def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     """Ratio of the fastest to the slowest stroke: low end of its 95 % interval, value, high end."""
     u = fit.problem.parametrisation
-    low, ratio, high = np.exp(_fastest_over_slowest(fit, range(u.size - u.shared))).tolist()
+    low, ratio, high = np.exp(_fastest_over_slowest(fit, range(u.strokes))).tolist()
     return low, ratio, high
 
 
@@ -83,38 +104,61 @@ def exceeds_pianist(fit: InferenceResult) -> bool:
     return velocity_range(fit)[0] > PIANIST_VELOCITY_RATIO
 
 
+def undetermined(fit: InferenceResult) -> frozenset[str]:
+    """Parts of the model on which the recordings have no evidence: of `FELT`, `CONTACT` and `VELOCITIES`.
+
+    K_H, p and μ alone can be wide while their combination is not. The felt is undetermined if its force where the
+    strokes press is, by the joint posterior.
+    """
+    problem, everything = fit.problem, frozenset({FELT, CONTACT, VELOCITIES})
+    if problem.calibrated:
+        felt = frozenset({FELT} if fit.excess > FELT_EXCESS_DB else ())
+        parts = everything if fit.excess > HAMMER_EXCESS_DB else felt
+    elif path_compared(fit):
+        parts = everything if exceeds_pianist(fit) else frozenset()
+    else:  # with an unknown gain alone, the force is known up to a factor
+        parts = everything if problem.path else frozenset({FELT, VELOCITIES})
+    force = force_direction(fit)
+    is_wide = force is not None and fit.gauge_fixed.sd(force) > MAX_LOG_SD
+    return parts | {FELT, CONTACT} if is_wide else parts
+
+
+def force_direction(fit: InferenceResult) -> np.ndarray | None:
+    """The logarithm of the static felt force at the reference compression, over the string mass [size].
+
+    None for a law without a power, and for a given stiffness, which has no reference compression.
+    """
+    u, place = fit.problem.parametrisation, fit.problem.parametrisation.force_and_exponent_index
+    if place is None or not u.free[place[0]] or u.given[place[0]]:
+        return None
+    direction = np.zeros(u.size)
+    direction[place[0]] = 1.0
+    direction[place[1]] = float(np.exp(fit.estimate.theta[place[1]])) * u.log_reference_compression
+    if "M_S" in u.sizes:
+        direction[u.index_of("M_S")] = -1.0
+    return direction
+
+
 def unidentifiable_parameters(fit: InferenceResult) -> tuple[str, ...]:
     """Hammer parameters reported as not identifiable, even if their interval is narrow."""
-    problem = fit.problem
-    felt = tuple(problem.parametrisation.law.parameters)
-    if problem.calibrated:
-        return () if fit.excess <= FELT_EXCESS_DB else felt if fit.excess <= HAMMER_EXCESS_DB else (*felt, "M_H")
-    if path_compared(fit):
-        return felt if exceeds_pianist(fit) else ()
-    return (*felt, "M_H") if problem.path else felt
-
-
-def invariant_status(factors: Sequence[Status], deviation: float) -> Status:
-    """Status of a ratio or product from the statuses of its factors and the standard deviation of its logarithm."""
-    if "not-identifiable" in factors:
-        return "not-identifiable"
-    if "at-bound" in factors:
-        return "at-bound"
-    if not deviation:
-        return "assumed" if "assumed" in factors else "given"
-    return "not-identifiable" if deviation > MAX_LOG_SD else "fitted"
+    parts, felt = undetermined(fit), tuple(fit.problem.parametrisation.law.parameters)
+    return (*(felt if FELT in parts else ()), *(("M_H",) if parts & {*foundations("M_H")} else ()))
 
 
 def velocity_statuses(fit: InferenceResult) -> list[Status]:
     """The status of every stroke's velocity."""
-    problem = fit.problem
-    if problem.calibrated:
-        unidentifiable = fit.excess > HAMMER_EXCESS_DB
-    else:
-        unidentifiable = not path_compared(fit) or exceeds_pianist(fit)
-    searched: Status = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
-    at_bound = problem.parametrisation.at_bound(fit.estimate.theta)[problem.parametrisation.shared :]
-    return [
-        "given" if v is not None else "at-bound" if bound else searched
-        for v, bound in zip(problem.measured_velocity, at_bound, strict=True)
-    ]
+    problem, u, undecided = fit.problem, fit.problem.parametrisation, VELOCITIES in undetermined(fit)
+    at_bound = u.at_bound(fit.estimate.theta)
+
+    def status(at: int, measured: float | None) -> Status:
+        if measured is not None:
+            return "given"
+        if at_bound[at]:
+            return "at-bound"
+        # Without a measured velocity, the prior alone sets their scale: only their ratios can be too wide.
+        if undecided or fit.gauge_fixed.sd(np.eye(u.size)[at]) > min(MAX_SD_OVER_PRIOR * u.sd[at], MAX_LOG_SD):
+            return "not-identifiable"
+        return "scaled" if problem.velocity_scale_free else "fitted"
+
+    places = range(u.size)[u.velocities]
+    return [status(at, measured) for at, measured in zip(places, problem.measured_velocity, strict=True)]

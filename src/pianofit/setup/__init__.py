@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from .contradictions import STRING_PICKUPS
+from .measured import Measured, relative_sd
 from .values import KEYS, PICKUPS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
 
 __all__ = [
     "KEYS",
+    "Measured",
     "PICKUPS",
     "RANGES",
     "SETUP_KEYS",
@@ -14,5 +16,6 @@ __all__ = [
     "RecordingInfo",
     "Setup",
     "recording_info_for",
+    "relative_sd",
     "to_setup",
 ]

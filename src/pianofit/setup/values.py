@@ -11,17 +11,18 @@ import difflib
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from ..errors import SetupError, check_type
+from ..errors import ParameterError, SetupError, check_type
 from ..felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
 from ..io.files import path_name, printable, read_text
 from ..io.number_format import filled
 from ..parameters import Parameter
 from .contradictions import contradictions
+from .measured import MOST_RELATIVE_SD, Measured, relative_sd
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 MAX_BYTES = 2**20
@@ -44,6 +45,15 @@ SETUP_KEYS = {
     "pickup_position": ("pickup", "position"),
     "pickup_scale": ("pickup", "scale"),
     "felt": ("felt", "law"),
+}
+# Attributes that can have a standard deviation, with their names among the parameters of a fit.
+SIZES = {
+    "length": "L",
+    "mass": "M_S",
+    "strike_position": "x0",
+    "strike_width": "width",
+    "pickup_position": "pickup",
+    "pickup_scale": "scale",
 }
 
 
@@ -73,6 +83,9 @@ KEYS: dict[str, tuple[str, ...]] = {
 class Setup:
     """Sizes, fixed and initial values, bounds and recordings, in SI units. None or empty means not given.
 
+    Sizes, fixed values and measured velocities are plain numbers, which are exact, or `Measured` values with a standard
+    deviation.
+
     Raises
     ------
     SetupError
@@ -86,7 +99,7 @@ class Setup:
     pickup_quantity: str = "pressure"  # one of PICKUPS
     pickup_position: float | None = None  # m, from the agraffe
     pickup_scale: float | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
-    fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed
+    fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed or within its uncertainty
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
@@ -99,11 +112,11 @@ class Setup:
         checked: dict[str, Any] = {}
         for name, (table, key) in SETUP_KEYS.items():
             if key in RANGES and getattr(self, name) is not None:
-                checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
+                checked[name] = _given(getattr(self, name), key, *RANGES[key], f"[{table}]")
         _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
         _check_law(self.felt)
         boxes = ALL_PARAMETERS | self.law.hammer_parameters
-        for name, check in (("fixed", _parameter_value), ("initial", _parameter_value), ("bounds", _bounds)):
+        for name, check in (("fixed", _given_parameter), ("initial", _parameter_value), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
             checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
@@ -111,13 +124,32 @@ class Setup:
         checked["recordings"] = tuple(_recording_info(entry, n) for n, entry in enumerate(self.recordings, 1))
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # numbers became floats
-        for contradiction in contradictions(self):
+        for contradiction in contradictions(self.exact):
             raise SetupError(contradiction)
 
     @property
     def law(self) -> FeltLaw:
         """The felt law."""
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
+
+    @property
+    def exact(self) -> Setup:
+        """The setup without standard deviations."""
+        sizes = {name: float(getattr(self, name)) for name in SIZES if isinstance(getattr(self, name), Measured)}
+        fixed = {name: float(value) for name, value in self.fixed.items()}
+        recordings = tuple(
+            replace(entry, v_H0=float(entry.v_H0)) if isinstance(entry.v_H0, Measured) else entry
+            for entry in self.recordings
+        )
+        if not sizes and fixed == self.fixed and recordings == self.recordings:
+            return self
+        return replace(self, **sizes, fixed=fixed, recordings=recordings)
+
+    @property
+    def relative_sds(self) -> dict[str, float]:
+        """Standard deviations of the logarithms of sizes and fixed values, by name, without exact ones."""
+        given = {name: getattr(self, attribute) for attribute, name in SIZES.items()} | self.fixed
+        return {name: relative_sd(value) for name, value in given.items() if relative_sd(value)}
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], felt: str | None = None) -> Setup:
@@ -256,12 +288,14 @@ def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: 
     if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
+        if isinstance(value, Measured | Mapping):
+            quotes = " without an sd; for a measured value use [fixed]"
         raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)  # includes NumPy's numbers
+    return isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
 
 
 def _check_choice(value: object, allowed: tuple[str, ...], where: str) -> None:
@@ -279,6 +313,36 @@ def _check_law(felt: object) -> None:
         raise SetupError(f"[felt] law = {_show(felt.name)} is the name of a built-in law; give yours another name")
 
 
+def _given(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
+    """Return a number within its range, or a `Measured` if it has a standard deviation above 0."""
+    if isinstance(value, Mapping):
+        value = _measured(value, f"{where} {key}")
+    if not isinstance(value, Measured):
+        return _number(value, key, lower, upper, unit, where)
+    number = _number(float(value), key, lower, upper, unit, where)
+    sd = _number(value.sd, f"{key}: sd", 0.0, MOST_RELATIVE_SD * number, unit, where)
+    return Measured(number, sd) if sd else number
+
+
+def _measured(table: Mapping[Any, Any], where: str) -> Measured:
+    """Return the value of a table, {value = 1.602, sd = 0.001}."""
+    for key in table:
+        if key not in ("value", "sd"):
+            raise SetupError(f"{where}: {_show(key)} is not known; {_suggest(key, ('value', 'sd'))}")
+    for key in ("value", "sd"):
+        if key not in table:
+            reason = "an assumed value has no sd" if key == "value" else "an exact value is a plain number"
+            raise SetupError(f"{where} = {_show(dict(table))} has no {key}, but {reason}; give value and sd")
+    try:
+        return Measured(table["value"], table["sd"])
+    except ParameterError as error:
+        raise SetupError(f"{where}: {error}") from None
+
+
+def _given_parameter(value: object, key: str, where: str, box: Parameter) -> float:
+    return _given(value, key, box.lower, box.upper, box.unit, where)
+
+
 def _parameter_value(value: object, key: str, where: str, box: Parameter) -> float:
     return _number(value, key, box.lower, box.upper, box.unit, where)
 
@@ -294,11 +358,11 @@ def _bounds(pair: object, key: str, where: str, box: Parameter) -> tuple[float, 
 
 def _recording_info(entry: object, number: int) -> RecordingInfo:
     where = f"[[recording]] {number}"
-    given = asdict(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
+    given = vars(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
     table = {key: value for key, value in given.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _parameter_value(value, key, where, ALL_PARAMETERS[key])
+            table[key] = _given_parameter(value, key, where, ALL_PARAMETERS[key])
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
