@@ -28,11 +28,11 @@ def linear_table(count: int, parameters: int, seed: int = 0) -> tuple[TablePoint
         distance_octaves=np.abs(np.subtract.outer(np.arange(count), np.arange(count))) + 0.0,
         has_unknown_path=np.zeros(1), log_tau=np.full((1, 1), -50.0), log_weight=np.zeros((1, 1)),
         variance_profile=np.ones(count), ratio=0 * one,
-        prior=(np.array([prior_mean, 0.0, 0.0, -50.0]), np.array([SPREAD, 1.0, 1.0, 1.0])),
-        degrees_of_freedom=np.float64(STUDENT),
+        prior=(np.array([prior_mean, 0.0, 0.0, -50.0, -50.0]), np.array([SPREAD, 1.0, 1.0, 1.0, 1.0])),
+        velocity=np.zeros((1, parameters)), degrees_of_freedom=np.float64(STUDENT),
     )  # fmt: skip
-    phi = np.array([prior_mean, 0.0, 0.0, -50.0])
-    return TablePoint(table, residual[None], J[None], phi, one, ()), square
+    phi = np.array([prior_mean, 0.0, 0.0, -50.0, -50.0])
+    return TablePoint(table, residual[None], J[None], phi, one, np.zeros(parameters), ()), square
 
 
 def mean_variance(count: int, parameters: int) -> tuple[float, float]:

@@ -55,7 +55,7 @@ class Observations:
     cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
 
     def with_velocities(self, entry: np.ndarray, size: int) -> Observations:
-        """Return these with the entries of θ [R] that are the log velocities of the recordings; θ has `size` entries."""
+        """Set which entries of θ [R] are the log velocities of the recordings; θ has `size` entries."""
         velocity = np.eye(size)[entry]
         return replace(
             self,
