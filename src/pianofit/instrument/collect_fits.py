@@ -20,6 +20,7 @@ from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..io.files import printable
 from ..io.number_format import log_half_width
+from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
@@ -27,7 +28,7 @@ from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..schema.quantities import Quantity
-from .key_quantities import LAW_QUANTITIES, reference_compression
+from .key_quantities import LAW_QUANTITIES
 
 # Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST_VELOCITY = 4.0
@@ -237,7 +238,7 @@ def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, floa
         "p": s["p"],
         "mu": s["mu"],
         "x0/L": s["x0"],
-        "K/M_S": _felt_sd(s, fit, note, midi, scale),
+        "F/M_S": _felt_sd(s, fit, note, midi, scale),
     }
     factor = 1.0 if fit.converged else NONCONVERGED_FACTOR
     own = {name: max(factor * x, 1e-4) for name, x in sd.items() if x is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -22,6 +22,7 @@ from ..schema.decode import builtins_of
 from ..schema.fit import Fit, fit_path, read_fit
 from ..schema.notes import notes_of_minima, notes_of_recordings
 from ..schema.quantities import Covariance, Quantities
+from .derived import DerivedQuantity, DrawSet, ModelDraw
 from .draws import DRAWS_FILE, Draws, read_draws
 from .fitted_recording import FittedRecording, RenderedFit
 from .prediction import Prediction, predict_recording
@@ -173,6 +174,59 @@ class Result:
         """Analysis of the reference recording."""
         return self.reference.analysis
 
+    @property
+    def derived_quantities(self) -> Quantities:
+        """Contact time, forces, energy lost in the felt and T60, with intervals from draws of the posterior."""
+        return self.fit.derived.quantities
+
+    def derived(
+        self, function: Callable[[ModelDraw], float], *, at_reference_velocity: bool = True
+    ) -> DerivedQuantity:
+        """Compute any quantity with its 95 % interval, from joint draws of the posterior over all minima.
+
+        Parameters
+        ----------
+        function : takes a `ModelDraw` and returns one number. A draw has `values` by name, the `note`, its simulated
+            `stroke`, `felt_force(u)`, N, at any compression u, m, and `t60(k)`, s, of any partial k.
+        at_reference_velocity : without a measured velocity, take the draws at the reference velocity shown, as for
+            F/M_S. False includes the unknown common scale of the velocities, as the interval of K_H does.
+
+        Returns
+        -------
+        A `DerivedQuantity`: value at the best minimum, interval, status as for a parameter, and draws [draws]. The
+        same fit gives the same draws, also after loading.
+
+        Raises
+        ------
+        ParameterError
+            If the function does not return one number.
+        FitError
+            If a value is not finite.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves, the contact time in ms and a ratio of decay times:
+
+        >>> import pianofit
+        >>> result = pianofit.Result.load("fit")
+        >>> contact = result.derived(lambda draw: 1e3 * draw.stroke.contact_time)
+        >>> contact.interval[0] < contact.value < contact.interval[1], contact.draws.shape
+        (True, (256,))
+        >>> result.derived(lambda draw: draw.t60(1) / draw.t60(8)).value > 1
+        True
+        """
+        return self.draw_set(at_reference_velocity).evaluate(function)
+
+    def draw_set(self, at_reference_velocity: bool = True) -> DrawSet:
+        """Draws of the posterior for `derived`, computed once."""
+        stroke = self.recordings[self.reference_index].fitted.simulation if self.recordings else None
+        new = DrawSet(self.fit, self.note, stroke, self.draws, at_reference_velocity)
+        return self._draw_sets.setdefault(at_reference_velocity, new)
+
+    @cached_property
+    def _draw_sets(self) -> dict[bool, DrawSet]:
+        return {}
+
     def predict(self, recording: Analysis | Source, gains: Sequence[float] | None = None) -> Prediction:
         """Predict a recording that took no part in the fit. Only its velocity, gain and pitch are fitted.
 
@@ -214,19 +268,23 @@ class Result:
         state = "converged" if self.fit.converged else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
         lines = [f"Result of {counted(count, 'recording')}, {self.fit.recipe} recipe, {state}", short]
-        tables = (self.invariants, self.parameters)
-        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in tables]
+        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in self._tables]
         return "\n".join(line for line in lines if line)
 
     def __str__(self) -> str:
-        return "\n\n".join(filter(None, [self.identifiability_statement, str(self.invariants), str(self.parameters)]))
+        return "\n\n".join(filter(None, [self.identifiability_statement, *map(str, self._tables)]))
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         return (
-            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>{self.invariants._repr_html_()}"
-            f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
+            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>"
+            f"{''.join(table._repr_html_() for table in self._tables)}<ul>{notes}</ul>"
         )
+
+    @property
+    def _tables(self) -> tuple[Quantities, ...]:
+        """All tables of quantities, in the order in which they are shown."""
+        return self.invariants, self.parameters, self.derived_quantities
 
     def summary(self) -> str:
         """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""

@@ -38,8 +38,15 @@ MEANINGS = (
         "M_H/M_S": "hammer mass over string mass",
         "x0/L": "strike position over string length",
         "F/M_S": "static felt force at the reference compression, over the string mass",
+        "felt_force": "static felt force at the reference compression",
+        "contact_time": "duration of the first contact",
+        "peak_force": "largest force of the hammer",
+        "peak_compression": "largest compression of the felt",
+        "felt_loss": "energy lost in the felt over the energy of the hammer",
     }
 )
+# Beginning of the name of the T60 of a partial, before its number.
+T60 = "T60_"
 # Largest distance of a value from the middle of its interval, relative to half of the interval, for which a standard
 # uncertainty is stated. A Gaussian of the logarithm reaches it at a standard deviation of 10 %.
 MAX_ASYMMETRY = 0.1
@@ -218,8 +225,11 @@ def meaning_of(name: str, law: FeltLaw | None = None) -> str:
     """Return the meaning of a quantity; empty for a parameter of a felt law that is unknown here."""
     if law is not None and name in law.parameters:
         return law.parameters[name].meaning
-    is_ratio = name.startswith("v/v_ref")
-    return "velocity of a stroke over that of the reference" if is_ratio else MEANINGS.get(name, "")
+    if name.startswith("v/v_ref"):
+        return "velocity of a stroke over that of the reference"
+    if name.startswith(T60):
+        return f"time in which partial {name.removeprefix(T60)} falls by 60 dB, by the law of the string"
+    return MEANINGS.get(name, "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
