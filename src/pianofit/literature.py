@@ -36,8 +36,8 @@ TYPICAL_MU = 0.1  # s/m, initial value of the paper (Table III)
 TYPICAL_VELOCITY = 2.0  # m/s, mezzo-forte
 STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier have 0.116 to 0.121
 PICKUP = 0.30  # x_m/L, away from nodes of the first partials; chosen, not published
-# Reference compression over the one that a rigid stop causes. Strings yield: the literature's hammers reach 0.56 to 0.92
-# of it on their own strings, and strokes determine the force at about half of what they reach.
+# Reference compression over the one that a rigid stop causes. Strings yield: the literature's hammers reach 0.56 to
+# 0.92 of it on their own strings, and strokes determine the force at about half of what they reach.
 REFERENCE_SHARE = 1 / 3
 WIDTH = 0.02  # m, full width of the contact window; chosen, not published
 

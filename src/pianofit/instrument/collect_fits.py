@@ -170,8 +170,7 @@ def _load_key(file: Path) -> KeyFit:
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
-    is_calibrated = any("given" in (r.gain_status, r.v_H0_status) for r in fit.recordings)
-    scale = 1.0 if is_calibrated else LOUDEST_VELOCITY / float(velocities[-1])
+    scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     # The law is in log μ, so a felt without loss gets the smallest allowed μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)

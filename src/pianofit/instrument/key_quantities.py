@@ -71,8 +71,8 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
     """Return the `LAW_QUANTITIES` of a note.
 
     They are the deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s),
-    ratios to string mass and length, the felt force at the `reference_compression` over the string mass (N/kg), p, μ (s/m), and the gain,
-    times M_S for bridge force and pressure.
+    ratios to string mass and length, the felt force at the `reference_compression` over the string mass (N/kg), p, μ
+    (s/m), and the gain, times M_S for bridge force and pressure.
     """
     s, h, g = note.string, note.hammer, note.geometry
     return {

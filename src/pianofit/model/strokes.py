@@ -61,7 +61,9 @@ def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[n
     ----------
     first : stroke of one of the notes.
     """
-    parts = (np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry"))
+    parts = (
+        np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry")
+    )
     modes, step = len(first.modes.pole), float(first.modes.step)
     steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
     return tuple(parts), np.float64(1 / step), StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))

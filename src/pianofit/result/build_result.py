@@ -28,7 +28,7 @@ from ..schema.fit import (
     VelocityDiscrepancyEntry,
     package_versions,
 )
-from ..schema.quantities import Covariance, Quantity
+from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
 from .derived_table import derived_quantities
@@ -37,7 +37,7 @@ from .estimates import invariants, parameters, stroke_velocities
 from .fitted_recording import FittedRecording
 from .notes import notes_of
 from .result import Result
-from .statement import identifiability_statement, strong_correlations
+from .statement import covariance_of, identifiability_statement, strong_correlations
 from .statuses import statuses
 from .warnings import fit_warnings
 
@@ -123,7 +123,7 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
                 velocities=np.exp(minima.candidates.theta[b, u.shared :]),
                 path_db=None if path is None else path.db,
                 path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
-                covariance=_covariance(fit, b),
+                covariance=covariance_of(fit, b),
             )
         )
     return tuple(records)
@@ -149,12 +149,6 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
         profile=convert(other["profile"], dict[str, ProfileCurve], *where) if "profile" in other else None,
         posterior=convert(other["posterior"], PosteriorDiagnostics, *where) if "posterior" in other else None,
     )
-
-
-def _covariance(fit: InferenceResult, minimum: int) -> Covariance:
-    """Covariance of the logarithms of the parameters and velocities at a minimum, by name."""
-    names = fit.problem.parameter_indices
-    return Covariance(tuple(names), fit.posterior.covariance[minimum][np.ix_([*names.values()], [*names.values()])])
 
 
 def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:

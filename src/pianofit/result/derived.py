@@ -100,7 +100,8 @@ class DerivedQuantity:
 
     def __repr__(self) -> str:
         value, span = format_with_interval(self.value, self.interval)
-        return f"{value}{'' if self.interval is None else ' ' + span}, {self.status}{f' ({self.note})' * bool(self.note)}"
+        note = f" ({self.note})" if self.note else ""
+        return f"{value}{'' if self.interval is None else ' ' + span}, {self.status}{note}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +154,8 @@ class DrawSet:
         values = [self._best_values, *self._probes.values(), *(rows if self.fit.has_intervals else [])]
         notes = [_note(self.best, one) for one in values]
         strokes = _Strokes(notes, self.first, self.fit.reference.rate)
-        return [
-            ModelDraw(one, note, lambda i=i: strokes.all[i]) for i, (one, note) in enumerate(zip(values, notes, strict=True))
-        ]
+        pairs = enumerate(zip(values, notes, strict=True))
+        return [ModelDraw(one, note, lambda i=i: strokes.all[i]) for i, (one, note) in pairs]
 
     def evaluate(self, function: Callable[[ModelDraw], Any]) -> DerivedQuantity:
         """Return value, interval, status and draws of a function."""

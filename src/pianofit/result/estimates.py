@@ -11,6 +11,7 @@ import numpy as np
 from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interval, Posterior
 from ..parameters import FIT_NAMES
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
+from .statement import felt_force_name
 from .statuses import invariant_status, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
@@ -121,16 +122,17 @@ def _ratio(
 def _static_force(fit: InferenceResult, states: Mapping[str, Status], stiffness: int, p: int) -> Quantity:
     """The static felt force at the reference compression over the string mass."""
     problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
-    direction = np.eye(u.size)[stiffness] + float(np.exp(z[p])) * u.log_reference_compression * np.eye(u.size)[p]
-    note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
+    force, geometry = float(np.exp(z[stiffness])), problem.initial_values.geometry
+    size = "assumed" if "mass" in problem.initial_values.assumed else "given"
+    note = f"{felt_force_name(u)}, {force:.3g} N with the {size} string mass"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
     decisive: dict[Status, bool] = {
         "at-bound": "at-bound" in (states[u.names[stiffness]], states[u.names[p]]),
         "not-identifiable": u.names[stiffness] in unidentifiable_parameters(fit),
     }
     factors: list[Status] = [status for status, holds in decisive.items() if holds]
-    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass
-    quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", factors, note)
+    direction = u.force_direction(z)
+    quantity = _combined("F/M_S", fit.gauge_fixed, direction, force / geometry.mass, "N/kg", factors, note)
     is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
     return replace(quantity, status="scaled") if is_scaled else quantity
 

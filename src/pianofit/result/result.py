@@ -112,6 +112,15 @@ class Result:
         return self.fit.covariance
 
     @property
+    def correlation(self) -> Covariance | None:
+        """Correlations of log(value) of the parameters that all strokes share; None without intervals.
+
+        Without a measured velocity they hold at the reference velocity shown.
+        """
+        shared = self.fit.shared_covariance
+        return None if shared is None or not self.fit.has_intervals else shared.normalised
+
+    @property
     def reference(self) -> FittedRecording:
         """The reference recording and the model's sounds for it.
 
@@ -179,9 +188,7 @@ class Result:
         """Contact time, forces, energy lost in the felt and T60, with intervals from draws of the posterior."""
         return self.fit.derived.quantities
 
-    def derived(
-        self, function: Callable[[ModelDraw], float], *, at_reference_velocity: bool = True
-    ) -> DerivedQuantity:
+    def derived(self, function: Callable[[ModelDraw], float], *, at_reference_velocity: bool = True) -> DerivedQuantity:
         """Compute any quantity with its 95 % interval, from joint draws of the posterior over all minima.
 
         Parameters
@@ -215,7 +222,8 @@ class Result:
         >>> result.derived(lambda draw: draw.t60(1) / draw.t60(8)).value > 1
         True
         """
-        return self.draw_set(at_reference_velocity).evaluate(function)
+        found = self.draw_set().evaluate(function)
+        return found if at_reference_velocity else replace(self.draw_set(False).evaluate(function), status=found.status)
 
     def draw_set(self, at_reference_velocity: bool = True) -> DrawSet:
         """Draws of the posterior for `derived`, computed once."""
