@@ -262,15 +262,11 @@ def _felt_sd(s: dict[str, float | None], fit: Fit, note: Note, midi: int, scale:
     """
     force = fit.invariants.get("F/M_S")
     error, sd_of_stiffness, sd_of_exponent = _log_sd(force), s["K_H"], s["p"]
-    if force is None or error is None or sd_of_stiffness is None or sd_of_exponent is None or force.value <= 0:
+    if force is None or error is None or sd_of_stiffness is None or sd_of_exponent is None:
         return sd_of_stiffness
-    h = note.hammer
-    log_u = math.log(force.value * note.geometry.mass / h.K_H) / h.p
-    if log_u >= 0:  # at least a metre of compression, which is not a felt
-        return sd_of_stiffness
-    p, covariance = sd_of_exponent * float(h.p), 0.0
-    velocity = fit.parameters.get("v_H0")
-    if velocity is None or velocity.status != "scaled":
+    log_u = math.log(1e-3 * fit.derived.reference_compression_mm)
+    p, covariance = sd_of_exponent * float(note.hammer.p), 0.0
+    if not fit.velocity_scale_open:
         covariance = (error**2 + (log_u * p) ** 2 - sd_of_stiffness**2) / (2 * log_u)
         covariance = float(np.clip(covariance, -error * p, error * p))
     distance = math.log(reference_compression(midi)) - log_u - math.log(scale)

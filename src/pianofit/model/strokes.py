@@ -74,7 +74,9 @@ def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
     *arrays, steps = leaves
     tables, pulses = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
 
-    def pulse(i: int) -> Pulse:
-        return Pulse(*(x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses))
+    def one(i: int) -> Simulation:
+        table: Any = (x[i] for x in tables)
+        pulse: Any = (x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses)
+        return Simulation(Modes(*table), Pulse(*pulse), None)
 
-    return [Simulation(Modes(*(x[i] for x in tables)), pulse(i), None) for i in range(len(steps))]
+    return [one(i) for i in range(len(steps))]

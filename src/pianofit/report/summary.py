@@ -8,7 +8,8 @@ from ..analysis import nearest_note
 from ..io.number_format import columns, format_with_interval
 from ..model import Simulation
 from ..result import Result
-from ..schema.fit import Recontact, RecordingFit
+from ..schema.derived import Recontact
+from ..schema.fit import RecordingFit
 from ..schema.quantities import Quantities
 from .modal_response import modal_response_line
 from .text import recontact_text

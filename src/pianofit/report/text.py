@@ -11,7 +11,8 @@ from pathlib import PurePath
 
 from ..felt import LAWS
 from ..io.number_format import number, with_interval
-from ..schema.fit import Criterion, Fit, Recontact
+from ..schema.derived import Recontact
+from ..schema.fit import Criterion, Fit
 from ..schema.quantities import T60, Quantity
 
 STATUS = {  # status -> mark, explanation

@@ -14,16 +14,14 @@ from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..literature import reference_compression
 from ..model.note import Note
 from ..schema.decode import convert
+from ..schema.derived import Derived, GlideWindow, Recontact
 from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
 from ..schema.fit import (
-    Derived,
     Fit,
-    GlideWindow,
     Minimum,
     PartialLevels,
     PathEntry,
     Pickup,
-    Recontact,
     RecordingFit,
     VelocityDiscrepancyEntry,
     package_versions,
@@ -86,7 +84,7 @@ def build_result(fit: InferenceResult) -> Result:
 
 def with_derived(result: Result) -> Result:
     """Return a result with its derived quantities."""
-    derived = replace(result.fit.derived, quantities=derived_quantities(result.draw_set()))
+    derived = replace(result.fit.derived, quantities=derived_quantities(result.draw_set))
     return replace(result, fit=replace(result.fit, derived=derived))
 
 

@@ -30,14 +30,14 @@ from ..model.note import Note
 from ..model.strokes import BATCH_SIZE, simulations, strokes, strokes_arguments
 from ..schema.fit import Fit
 from ..schema.quantities import Status
-from .posterior import joint_draws
+from .posterior import JointDraws, joint_draws
 from .statuses import invariant_status
 
 # A parameter is changed by this factor to see whether it matters: about the uncertainty that makes it not identifiable.
 PROBE = 2.0
-# It matters if the quantity changes by more than this, relative. The loss of an ordinary felt changes the contact by
-# less, its mass or stiffness by 20 % and more.
-MATTERS = 0.05
+# It matters if the quantity changes by more than this, relative. The stiffness of the felt changes a contact time by 5
+# to 20 %, its loss by less than 1 %.
+MATTERS = 0.01
 # Factor of the scalings that change no sound, and the largest relative change that is an error of rounding or, in a
 # contact, of interpolation.
 SCALE, SAME = 1.1, 1e-6
@@ -126,10 +126,14 @@ class DrawSet:
         return values | {f"v_H0 {r.stroke + 1}": r.v_H0 for r in self.fit.recordings if r.stroke != own}
 
     @cached_property
+    def _joint(self) -> JointDraws:
+        return joint_draws(self.fit, self.law, self.sampled)
+
+    @cached_property
     def _drawn(self) -> dict[str, np.ndarray]:
         """Values of every draw by name [draws or 1]."""
         drawn = {name: np.array([value]) for name, value in self._best_values.items()}
-        drawn |= joint_draws(self.fit, self.law, self.sampled)
+        drawn |= self._joint.values
         if self.at_reference_velocity and self.fit.velocity_scale_open:
             return scale_velocity(drawn, self.law, self._best_values["v_H0"] / drawn["v_H0"])
         return drawn
@@ -161,8 +165,8 @@ class DrawSet:
         """Return value, interval, status and draws of a function."""
         best, *others = (_number(function, draw) for draw in self.draws)
         probed, drawn = dict(zip(self._probes, others, strict=False)), np.array(others[len(self._probes) :])
-        span = tuple(np.quantile(drawn, (0.025, 0.975)).tolist()) if len(drawn) else (best, best)
-        is_free = span[1] > span[0]
+        is_free = len(drawn) > 0 and float(np.ptp(drawn)) > 0
+        span = self._joint.interval(drawn) if is_free else (best, best)
         status = invariant_status(*self._doubts(best, probed, _log_sd(span) if is_free else 0.0))
         scales = [*self._scales(best, probed)]
         if status == "fitted" and scales:
@@ -172,12 +176,12 @@ class DrawSet:
     def _doubts(self, best: float, probed: Mapping[str, float], sd: float) -> tuple[list[Status], float]:
         """Return the statuses on which a quantity rests, and the standard deviation of its logarithm."""
         matters = [name for name in probed if name not in SCALINGS and not _is_near(probed[name], best, MATTERS)]
-        states = {name: self._status(name) for name in matters}
+        states: dict[str, Status] = {name: self._status(name) for name in matters}
         if not self.fit.has_intervals:  # without draws, a quantity is free if one of its parameters is
             sd = float(any(state not in ("given", "assumed") for state in states.values())) * MATTERS
         felt = [name for name in matters if name in self.law.parameters]
         force = self.fit.invariants.get("F/M_S")
-        if len(felt) > 1 and force is not None:  # a stroke determines the force, not its parameters
+        if felt and len(matters) > 1 and force is not None:  # a stroke determines the force, not its parameters
             states |= dict.fromkeys(felt, force.status)
         # The doubt about a parameter of the string is in the width of the draws, unless it is all that matters.
         if len(matters) > 1:

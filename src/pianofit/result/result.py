@@ -41,8 +41,8 @@ class Result:
 
     `fit` has all that the fit reports, as in `fit.json`. `recordings` are in the order in which they were given. A
     loaded result has none until `with_recordings` reads them; plots, `save` and `report` do this when needed.
-    `minima_notes` has a note for each minimum and recording [minima][recordings]. `draws` are posterior draws [chains,
-    draws] by name, if the fit computed them. `folder` is the folder that the result was loaded from.
+    `minima_notes` has a note for each [minima][recordings]. `draws` are posterior draws [chains, draws] by name, if the
+    fit computed them. `folder` is the folder that the result was loaded from.
     """
 
     fit: Fit
@@ -89,9 +89,7 @@ class Result:
     @property
     def mixture(self) -> list[tuple[float, Note]]:
         """Pairs of posterior weight and note for all minima, the best first, as `predict_recording` takes them."""
-        return [
-            (weight, notes[self.reference_index]) for weight, notes in zip(self.weights, self.minima_notes, strict=True)
-        ]
+        return [*zip(self.weights, (notes[self.reference_index] for notes in self.minima_notes), strict=True)]
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -113,12 +111,8 @@ class Result:
 
     @property
     def correlation(self) -> Covariance | None:
-        """Correlations of log(value) of the parameters that all strokes share; None without intervals.
-
-        Without a measured velocity they hold at the reference velocity shown.
-        """
-        shared = self.fit.shared_covariance
-        return None if shared is None or not self.fit.has_intervals else shared.normalised
+        """Correlations of log(value) of all parameters but velocities, at the reference velocity if none is known."""
+        return self.fit.shared_covariance.normalised if self.fit.shared_covariance and self.fit.has_intervals else None
 
     @property
     def reference(self) -> FittedRecording:
@@ -195,13 +189,12 @@ class Result:
         ----------
         function : takes a `ModelDraw` and returns one number. A draw has `values` by name, the `note`, its simulated
             `stroke`, `felt_force(u)`, N, at any compression u, m, and `t60(k)`, s, of any partial k.
-        at_reference_velocity : without a measured velocity, take the draws at the reference velocity shown, as for
-            F/M_S. False includes the unknown common scale of the velocities, as the interval of K_H does.
+        at_reference_velocity : without a measured velocity, draws hold at the reference velocity shown, as F/M_S does.
+            False includes the unknown common scale of the velocities, as the interval of K_H does.
 
         Returns
         -------
-        A `DerivedQuantity`: value at the best minimum, interval, status as for a parameter, and draws [draws]. The
-        same fit gives the same draws, also after loading.
+        A `DerivedQuantity`: value at the best minimum, interval, status, draws [draws]; the same after loading.
 
         Raises
         ------
@@ -212,28 +205,23 @@ class Result:
 
         Examples
         --------
-        With the folder that the example of `fit` saves, the contact time in ms and a ratio of decay times:
+        With the folder that the example of `fit` saves:
 
         >>> import pianofit
-        >>> result = pianofit.Result.load("fit")
-        >>> contact = result.derived(lambda draw: 1e3 * draw.stroke.contact_time)
+        >>> contact = pianofit.Result.load("fit").derived(lambda draw: 1e3 * draw.stroke.contact_time)  # ms
         >>> contact.interval[0] < contact.value < contact.interval[1], contact.draws.shape
         (True, (256,))
-        >>> result.derived(lambda draw: draw.t60(1) / draw.t60(8)).value > 1
-        True
         """
-        found = self.draw_set().evaluate(function)
-        return found if at_reference_velocity else replace(self.draw_set(False).evaluate(function), status=found.status)
-
-    def draw_set(self, at_reference_velocity: bool = True) -> DrawSet:
-        """Draws of the posterior for `derived`, computed once."""
-        stroke = self.recordings[self.reference_index].fitted.simulation if self.recordings else None
-        new = DrawSet(self.fit, self.note, stroke, self.draws, at_reference_velocity)
-        return self._draw_sets.setdefault(at_reference_velocity, new)
+        found = self.draw_set.evaluate(function)
+        if at_reference_velocity:
+            return found
+        return replace(replace(self.draw_set, at_reference_velocity=False).evaluate(function), status=found.status)
 
     @cached_property
-    def _draw_sets(self) -> dict[bool, DrawSet]:
-        return {}
+    def draw_set(self) -> DrawSet:
+        """Draws of the posterior for `derived`."""
+        stroke = self.recordings[self.reference_index].fitted.simulation if self.recordings else None
+        return DrawSet(self.fit, self.note, stroke, self.draws)
 
     def predict(self, recording: Analysis | Source, gains: Sequence[float] | None = None) -> Prediction:
         """Predict a recording that took no part in the fit. Only its velocity, gain and pitch are fitted.
@@ -273,8 +261,8 @@ class Result:
 
     def __repr__(self) -> str:
         count, statement = len(self.fit.recordings), self.identifiability_statement
-        state = "converged" if self.fit.converged else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
+        state = "converged" if self.fit.converged else "NOT CONVERGED"
         lines = [f"Result of {counted(count, 'recording')}, {self.fit.recipe} recipe, {state}", short]
         lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in self._tables]
         return "\n".join(line for line in lines if line)
@@ -291,7 +279,6 @@ class Result:
 
     @property
     def _tables(self) -> tuple[Quantities, ...]:
-        """All tables of quantities, in the order in which they are shown."""
         return self.invariants, self.parameters, self.derived_quantities
 
     def summary(self) -> str:
@@ -325,11 +312,10 @@ class Result:
     def to_arviz(self) -> Any:
         """The posterior draws as a tree of ArviZ 1.x (an `xarray.DataTree`).
 
-        The group "posterior" has the parameters, the velocities of all strokes and the invariants, "M_H over M_S" for
-        M_H/M_S. "observed_data" has levels and bounds of censored partials, dB, and frequencies (cents) and decay rates
-        (logarithms) relative to the string model. "constant_data" has the recording and the partial of each
-        observation. "log_likelihood" has the log density of each observation given all others, for ArviZ's `loo` and
-        `compare`.
+        "posterior" has the parameters, the velocities of all strokes and the invariants, "M_H over M_S" for M_H/M_S.
+        "observed_data" has levels and bounds of censored partials, dB, frequencies (cents) and decay rates (logarithms)
+        relative to the string model, "constant_data" the recording and partial of each observation. "log_likelihood"
+        has the log density of each observation given all others, for ArviZ's `loo` and `compare`.
 
         Raises
         ------
@@ -367,8 +353,8 @@ class Result:
 
         Parameters
         ----------
-        title : title of the page; the names of the recordings and the note if None.
-        held_out : cross-validation of the same recordings, to be shown with the fit.
+        title : title of the page; names of recordings and note if None.
+        held_out : cross-validation of the same recordings, to be shown too.
 
         Raises
         ------

@@ -23,8 +23,8 @@ from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
 from ..io.files import path_name, printable, replace_paths
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from ..model.simulate import Contact
 from .decode import Number, convert, load_json
+from .derived import Derived
 from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
@@ -204,43 +204,6 @@ class Minimum:
     path_db: np.ndarray | None  # at the frequencies of `Pickup.path`
     path_velocity_discrepancy: VelocityDiscrepancyEntry | None
     covariance: Covariance | None = None  # of the logarithms of the parameters and velocities
-
-
-@dataclass(frozen=True)
-class Recontact:
-    """A contact of hammer and string after the first."""
-
-    start_ms: Number  # after the first contact
-    duration_ms: Number
-    max_force_N: Number
-
-    @classmethod
-    def of(cls, contact: Contact) -> Recontact:
-        """Return the entry of a contact of a simulation."""
-        return cls(1e3 * contact.start, 1e3 * (contact.stop - contact.start), contact.force)
-
-
-@dataclass(frozen=True)
-class GlideWindow:
-    """Pitch in a window of time."""
-
-    start_s: Number
-    stop_s: Number
-    f0: Number  # Hz
-
-
-@dataclass(frozen=True)
-class Derived:
-    """What follows from the parameters and the stroke of the reference recording."""
-
-    f0: Number  # Hz
-    B: Number
-    f1: Number  # first partial, Hz
-    reference_compression_mm: Number  # of the key: the felt forces of the fit hold there
-    recontacts: tuple[Recontact, ...]
-    glide_cents: Number
-    glide: tuple[GlideWindow, ...]
-    quantities: Quantities = field(default_factory=lambda: Quantities({}))  # with intervals from posterior draws
 
 
 @dataclass(frozen=True)
