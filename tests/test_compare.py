@@ -36,7 +36,8 @@ def with_quantities(fit: Fit, **entries: Quantity) -> Fit:
         table: Quantities(dict(getattr(fit, table)) | {n: q for n, q in entries.items() if n in getattr(fit, table)})
         for table in ("parameters", "invariants")
     }
-    return dataclasses.replace(fit, **tables)
+    derived = Quantities({n: entries.get(n, q) for n, q in fit.derived.quantities.items()})
+    return dataclasses.replace(fit, **tables, derived=dataclasses.replace(fit.derived, quantities=derived))
 
 
 def with_row(fit: Fit, **changes: object) -> Fit:
@@ -48,7 +49,7 @@ def with_row(fit: Fit, **changes: object) -> Fit:
 def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -> pianofit.Result:
     """Return the fit with values and intervals times `factor`, and with other statuses."""
     fit = with_row(fitted().fit, sha256="of another recording")
-    table = {**fit.invariants, **fit.parameters}
+    table = {**fit.invariants, **fit.parameters, **fit.derived.quantities}
     for name in names:
         low, high = table[name].interval
         interval = (factor * low, factor * high)
@@ -133,7 +134,7 @@ def test_one_assumption_of_both_is_comparable_and_two_are_not():
 
 
 def test_an_unmeasured_velocity_is_not_compared():
-    scaled = changed(v_H0="scaled", mu="scaled")
+    scaled = changed(v_H0="scaled", mu="scaled", felt_force="scaled")
     fit = with_row(scaled.fit, gain_status="fitted", v_H0_status="scaled")
     scaled = dataclasses.replace(scaled, fit=fit)
     found = pianofit.compare(fitted(), scaled)

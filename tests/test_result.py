@@ -255,7 +255,8 @@ def test_what_a_file_does_not_hold_is_said(saved):
     np.testing.assert_allclose(back.covariance.matrix, result().covariance.matrix, rtol=1e-12)
     assert back.plot.correlations().get_title() == result().plot.correlations().get_title()
     for entry in (None, {"names": ["c"], "matrix": [[1.0, 0.0]]}, {"names": ["c"], "matrix": [["x"]]}):
-        changed = json.loads((saved / "fit.json").read_text()) | {"covariance": entry}
+        changed = json.loads((saved / "fit.json").read_text())
+        changed["minima"][0]["covariance"] = entry
         (saved / "changed.json").write_text(json.dumps(changed))
         with pytest.raises(FitError, match="covariance"):
             _ = pianofit.Result.load(saved / "changed.json").covariance

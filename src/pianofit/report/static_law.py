@@ -77,7 +77,8 @@ def static_law(result: Result, reach: float | None = None) -> StaticLaw:
     hammer = result.note.hammer
     reach = max(largest_compression(result) if reach is None else reach, SMALLEST_REACH)
     u = reach * np.linspace(0.0, 1.0, LAW_POINTS + 1)[1:]
-    shared = result.fit.shared_covariance if result.fit.has_intervals else None
+    scale_open, intervals = result.fit.velocity_scale_open, result.fit.has_intervals
+    shared = result.covariance.of_shared(scale_open) if intervals else None
 
     def with_band(slow: bool) -> np.ndarray:
         force, by_name = static_force(u, hammer, slow)

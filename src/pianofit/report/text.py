@@ -185,7 +185,7 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
 
 
 def _contact_tile(fit: Fit) -> list[tuple[str, str, str]]:
-    """Return the tile of the contact. A value that is not identifiable is no headline."""
+    """Return the tile of the contact. A value that is not identifiable is left out of the headline."""
     table, names = fit.derived.quantities, {"peak_force": "largest force", "peak_compression": "largest compression"}
     if "contact_time" not in table:
         return []

@@ -223,7 +223,7 @@ def pickup_of(quantity: str, recordings: Sequence[FittedRecording], records: Seq
 
 
 def derived_of(fitted: FittedRecording) -> Derived:
-    """What follows from the parameters and from the simulated stroke."""
+    """Facts that follow from the parameters and from the simulated stroke."""
     note, simulation, analysis = fitted.fitted.note, fitted.fitted.simulation, fitted.analysis
     return Derived(
         f0=float(note.f0),

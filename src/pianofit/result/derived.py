@@ -71,7 +71,7 @@ class ModelDraw:
         return float(law_of(self.note.hammer).force(compression, 0.0, self.note.hammer))
 
     def t60(self, partial: int) -> float:
-        """Time in which a partial falls by 60 dB, s, by the law of the string α = b1 + b2 β²."""
+        """Time in which a partial falls by 60 dB, s, by the string model, α = b1 + b2 β²."""
         string = self.note.string
         alpha = string.b1 + string.b2 * (partial * math.pi / self.note.geometry.length) ** 2
         return float(T60_DB / (DB * alpha))

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from ..errors import FitError
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..inference import Posterior
 from ..schema.fit import Fit, Minimum
@@ -93,6 +94,8 @@ def joint_draws(fit: Fit, law: FeltLaw, sampled: Mapping[str, np.ndarray] | None
         names = (name for name in sampled if name in fixed or name.startswith("v_H0 "))
         return JointDraws(fixed | {name: sampled[name].ravel()[kept] for name in names})
     if fit.covariance is None:
+        if fit.has_intervals:
+            raise FitError("covariance: this fit.json has none; fit the recordings again")
         return JointDraws(fixed)
     names = fit.covariance.names
     points = qmc.Sobol(len(names) + 1, rng=np.random.default_rng(fit.seed)).random_base2(LOG2_DRAWS)
@@ -119,7 +122,7 @@ def _gaussian(fit: Fit, law: FeltLaw, minimum: Minimum, standard: np.ndarray) ->
 
     mean = np.log([value(name) for name in names])
     power = [names.index(name) for name in law.power or ()]
-    if not power or not covariance.matrix[power[0], power[0]] > 0:  # a given K_H is no force
+    if not power or not covariance.matrix[power[0], power[0]] > 0:  # a given K_H is fixed
         return mean + standard @ _root(covariance.matrix).T
     stiffness, exponent = power
     log_u = np.log(1e-3 * fit.derived.reference_compression_mm)

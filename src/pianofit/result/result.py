@@ -112,7 +112,8 @@ class Result:
     @property
     def correlation(self) -> Covariance | None:
         """Correlations of log(value) of all parameters but velocities, at the reference velocity if none is known."""
-        return self.fit.shared_covariance.normalised if self.fit.shared_covariance and self.fit.has_intervals else None
+        intervals, scale_open = self.fit.has_intervals, self.fit.velocity_scale_open
+        return self.covariance.of_shared(scale_open).normalised if intervals else None
 
     @property
     def reference(self) -> FittedRecording:

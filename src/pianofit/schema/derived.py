@@ -1,4 +1,4 @@
-"""What follows from the parameters of a fit and from the stroke of its reference recording."""
+"""Facts that follow from the parameters of a fit and from the stroke of its reference recording."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class GlideWindow:
 
 @dataclass(frozen=True)
 class Derived:
-    """What follows from the parameters and the stroke of the reference recording."""
+    """Facts that follow from the parameters and the stroke of the reference recording."""
 
     f0: Number  # Hz
     B: Number

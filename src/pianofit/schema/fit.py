@@ -280,11 +280,6 @@ class Fit(NoteFile):
         return self.minima[0].covariance if self.minima else None
 
     @property
-    def shared_covariance(self) -> Covariance | None:
-        """Covariance of the logarithms that all strokes share, at the reference velocity if the scale is open."""
-        return None if self.covariance is None else self.covariance.of_shared(self.velocity_scale_open)
-
-    @property
     def velocity_scale_open(self) -> bool:
         """True if one common factor of the velocities is unknown: neither a velocity nor the gain was given."""
         return not any("given" in (own.gain_status, own.v_H0_status) for own in self.recordings)

@@ -230,7 +230,7 @@ def meaning_of(name: str, law: FeltLaw | None = None) -> str:
     if name.startswith("v/v_ref"):
         return "velocity of a stroke over that of the reference"
     if name.startswith(T60):
-        return f"time in which partial {name.removeprefix(T60)} falls by 60 dB, by the law of the string"
+        return f"time in which partial {name.removeprefix(T60)} falls by 60 dB in the string model"
     return MEANINGS.get(name, "")
 
 
