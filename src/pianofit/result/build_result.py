@@ -29,7 +29,7 @@ from ..schema.fit import (
 from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
-from .derived_table import derived_quantities
+from .derived_table import derived_quantities, with_force_interval
 from .draws import Draws
 from .estimates import invariants, parameters, stroke_velocities
 from .fitted_recording import FittedRecording
@@ -83,9 +83,10 @@ def build_result(fit: InferenceResult) -> Result:
 
 
 def with_derived(result: Result) -> Result:
-    """Return a result with its derived quantities."""
-    derived = replace(result.fit.derived, quantities=derived_quantities(result.draw_set))
-    return replace(result, fit=replace(result.fit, derived=derived))
+    """Return a result with its derived quantities, and with the same draws for the interval of the felt force."""
+    fit, draws = result.fit, result.draw_set
+    derived = replace(fit.derived, quantities=derived_quantities(draws))
+    return replace(result, fit=replace(fit, derived=derived, invariants=with_force_interval(draws)))
 
 
 def _records(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from ..schema.fit import Fit
@@ -36,6 +37,16 @@ def derived_quantities(draws: DrawSet) -> Quantities:
         return Quantity(name, found.value, unit, found.interval, found.status, meaning_of(name), note, None, own)
 
     return Quantities.of(quantity(name, *entry) for name, entry in table.items())
+
+
+def with_force_interval(draws: DrawSet) -> Quantities:
+    """Return the invariants with the interval of F/M_S from the draws, so that F and F/M_S have one uncertainty."""
+    invariants, u = draws.fit.invariants, 1e-3 * draws.fit.derived.reference_compression_mm
+    own = invariants.get("F/M_S")
+    if own is None or own.interval is None:
+        return invariants
+    found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
+    return Quantities.of([*({**invariants, "F/M_S": replace(own, interval=found.interval)}).values()])
 
 
 def _t60(partial: int, draw: ModelDraw) -> float:
