@@ -71,9 +71,8 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
 
 def _row(midi: int, key: Key) -> dict[str, Any]:
     s, h, g, fit = key.note.string, key.note.hammer, key.note.geometry, key.fit
-    u = reference_compression(midi)
-    force = h.K_H * u**h.p
-    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, 1e3 * u, force, force / g.mass, h.K_H]
+    u, force = 1e3 * reference_compression(midi), key.values["F/M_S"].value
+    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, u, force * g.mass, force, h.K_H]
     cells = [
         f"{key.note.f0:.2f}",
         *(number(x, 3) for x in rounded),
