@@ -27,10 +27,10 @@ from pianofit.model.note import Note
 from pianofit.model.output_path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.schema.decode import builtins_of
+from pianofit.schema.derived import Derived
 from pianofit.schema.fit import (
     BandValue,
     Criterion,
-    Derived,
     Diagnostics,
     Fit,
     LevelErrors,
@@ -42,6 +42,7 @@ from pianofit.schema.fit import (
 from pianofit.schema.instrument import FitSummary
 from pianofit.schema.quantities import Quantities, Quantity
 
+PRESSED = 0.3e-3  # m, compression at which the fits of a library determine the force
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
 # Two modes of every partial: decay over that of the string model, and relative amplitude.
@@ -134,7 +135,7 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
         recipe="default", seed=0, converged=True, identifiability_statement="", warnings=(), invariants=Quantities({}),
         parameters=Quantities.of(quantity(name, value, errors.get(name)) for name, value in values.items()),
         recordings=tuple(recordings), minima=(), pickup=Pickup(note.quantity, path), levels=levels, criterion=criterion,
-        derived=Derived(1.0, 1e-4, 1.0, 1.0, (), 1.0, 1.0, 1.0, 0.0, ()), diagnostics=Diagnostics(1, 1),
+        derived=Derived(1.0, 1e-4, 1.0, 0.2, (), 0.0, ()), diagnostics=Diagnostics(1, 1),
     )  # fmt: skip
     return builtins_of(fit)
 
@@ -145,10 +146,11 @@ def quantity(name: str, value: float, sd: float | None) -> Quantity:
     return Quantity(name, float(value), "", interval, "scaled" if name in ("v_H0", "K_H", "mu") else "fitted")
 
 
-def force_entry(note: Note, at: float, sd: float) -> dict:
-    """The entry of such a fit for the felt force at the compression `at`, m."""
+def add_force(document: dict, note: Note, at: float, sd: float) -> None:
+    """Add the felt force at the reference compression `at`, m, to such a fit."""
     value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
-    return Quantities.of([quantity("F/M_S", value, sd or None)]).to_builtins()["F/M_S"]
+    document["invariants"] |= Quantities.of([quantity("F/M_S", value, sd or None)]).to_builtins()
+    document["derived"]["reference_compression_mm"] = 1e3 * at
 
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
@@ -166,17 +168,17 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
         note = true_note(midi)
         off = {name: math.exp(sd * random.normal()) for name, sd in errors.items()}
         string = String(*(x * off.get(n, 1.0) for n, x in note.string._asdict().items()))
-        # K_H and p trade off: their errors keep the force at 1 mm.
+        # K_H and p trade off: their errors keep the force at `PRESSED`.
         p, force = note.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0) / 3
-        at_1_mm = note.hammer.K_H * 1e-3**note.hammer.p * math.exp(force * random.normal())
-        hammer = note.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
+        pressed = note.hammer.K_H * PRESSED**note.hammer.p * math.exp(force * random.normal())
+        hammer = note.hammer._replace(K_H=pressed / PRESSED**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
                                        M_H=note.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
         geometry = note.geometry._replace(strike_position=note.geometry.strike_position * off.get("x0", 1.0))
         fitted = note._replace(string=string, hammer=hammer, geometry=geometry)
         spread_p = errors.get("p", 0.0) * note.hammer.p
-        stated = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
+        stated = errors | {"K_H": math.hypot(force, math.log(1 / PRESSED) * spread_p)}
         document = fit_document(fitted, stated)
-        document["invariants"]["F/M_S"] = force_entry(fitted, 1e-3, force)
+        add_force(document, fitted, PRESSED, force)
         write_fit(folder, midi, document)
     return folder
 

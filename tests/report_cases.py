@@ -192,7 +192,7 @@ def example_content() -> dict[str, Any]:
     k = np.arange(1, COUNT + 1)
     path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
     return {
-        "schema": 5, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 6, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "One uncalibrated recording does not determine the felt. A smooth unknown output "
         "path with a hammer from the literature explains these levels as well.",
@@ -225,11 +225,17 @@ def example_content() -> dict[str, Any]:
             "stroke": 0, "criterion": criterion, "levels": levels, "partials": levels_content(),
         }],
         "pickup": {"quantity": "bridge-force", "path": path},
-        "minima": [],
-        "covariance": covariance_content(),
+        "minima": [minimum(1.0, 0.0) | {"covariance": covariance_content()}],
         "derived": {
-            "f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42, "recontacts": [],
-            "max_compression_mm": 0.65, "felt_force_N": 30.0, "glide_cents": 4.31, "glide": [],
+            "f0": 92.331, "B": 2.3e-4, "f1": 92.34, "reference_compression_mm": 0.5, "recontacts": [],
+            "glide_cents": 4.31, "glide": [],
+            "quantities": {
+                "contact_time": invariant(2.214, "ms", [2.15, 2.28]),
+                "peak_force": invariant(33.42, "N", [31.0, 36.0]) | {"status": "scaled"},
+                "peak_compression": invariant(0.65, "mm", [0.6, 0.7]) | {"status": "not-identifiable"},
+                "felt_force": invariant(0.73, "N", [0.69, 0.77], "at 0.5 mm") | {"status": "scaled"},
+                "T60_1": invariant(12.1, "s", [11.3, 13.0]),
+            },
         },
         "criterion": criterion,
         "levels": levels,
@@ -260,8 +266,8 @@ def content_of_recordings(count=3, velocities=(3.2, 0.6, 1.5)) -> dict[str, Any]
         for i in range(2, count + 1)
     }  # fmt: skip
     content["pickup"]["paths"] = {"0": path, "1": path | {"db": np.cos(np.arange(COUNT) / 5).tolist()}}
-    content["minima"] = [minimum(0.7, 0.0), minimum(0.3, 1.25)]
-    content["covariance"] = covariance_content(count)
+    covariance = {"covariance": covariance_content(count)}
+    content["minima"] = [minimum(0.7, 0.0) | covariance, minimum(0.3, 1.25) | covariance]
     return content
 
 

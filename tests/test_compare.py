@@ -36,7 +36,8 @@ def with_quantities(fit: Fit, **entries: Quantity) -> Fit:
         table: Quantities(dict(getattr(fit, table)) | {n: q for n, q in entries.items() if n in getattr(fit, table)})
         for table in ("parameters", "invariants")
     }
-    return dataclasses.replace(fit, **tables)
+    derived = Quantities({n: entries.get(n, q) for n, q in fit.derived.quantities.items()})
+    return dataclasses.replace(fit, **tables, derived=dataclasses.replace(fit.derived, quantities=derived))
 
 
 def with_row(fit: Fit, **changes: object) -> Fit:
@@ -48,7 +49,7 @@ def with_row(fit: Fit, **changes: object) -> Fit:
 def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -> pianofit.Result:
     """Return the fit with values and intervals times `factor`, and with other statuses."""
     fit = with_row(fitted().fit, sha256="of another recording")
-    table = {**fit.invariants, **fit.parameters}
+    table = {**fit.invariants, **fit.parameters, **fit.derived.quantities}
     for name in names:
         low, high = table[name].interval
         interval = (factor * low, factor * high)
@@ -133,12 +134,12 @@ def test_one_assumption_of_both_is_comparable_and_two_are_not():
 
 
 def test_an_unmeasured_velocity_is_not_compared():
-    scaled = changed(v_H0="scaled", mu="scaled")
+    scaled = changed(v_H0="scaled", mu="scaled", felt_force="scaled")
     fit = with_row(scaled.fit, gain_status="fitted", v_H0_status="scaled")
     scaled = dataclasses.replace(scaled, fit=fit)
     found = pianofit.compare(fitted(), scaled)
     for q in found:
-        if q.name in ("v_H0", "mu") or q.name.startswith("F at"):
+        if q.name in ("v_H0", "mu") or q.name == "felt_force":
             assert "not measured in B" in q.reason
     assert found["p"].z == 0
     assert any("No hammer velocity" in message for message in found.warnings)
@@ -192,17 +193,18 @@ def softer(factor: float) -> pianofit.Result:
     return dataclasses.replace(it, minima_notes=((note,),))
 
 
-def test_the_felts_are_compared_at_one_compression():
+def test_the_felts_are_compared_at_the_reference_compression_of_the_key():
     found = pianofit.compare(fitted(), softer(1.5))
     first, second = found.felts
     np.testing.assert_array_equal(first.compression_mm, second.compression_mm)
     np.testing.assert_allclose(second.force, 1.5 * first.force, rtol=1e-9)
-    (row,) = [q for q in found if q.name.startswith("F at")]
-    u = float(row.name.split()[2]) / 1e3
-    hammer = fitted().note.hammer
-    assert row.a.value == pytest.approx(hammer.K_H * u**hammer.p, rel=0.03)  # the name has three digits
-    half = math.log(row.a.interval[1] / row.a.value) / HALF_WIDTH_95
-    assert row.z == pytest.approx(math.log(1.5) / (math.sqrt(2) * half), rel=1e-6)
+    row, hammer = found["felt_force"], fitted().note.hammer
+    u = 1e-3 * fitted().fit.derived.reference_compression_mm
+    assert found.compressions_mm == (1e3 * u, 1e3 * u)
+    assert row.a.value == pytest.approx(hammer.K_H * u**hammer.p, rel=1e-9)
+    assert row.a.value == pytest.approx(found["F/M_S"].a.value * fitted().parameters.M_S.value, rel=1e-9)
+    assert row.z == 0  # `softer` changes only the note
+    assert first.at(1e3 * u)[0] == pytest.approx(row.a.value, rel=1e-3)
     assert found.felt_unit == row.unit == "N"
     assert first.compression_mm[-1] == pytest.approx(static_law(fitted()).compression_mm[-1])
 
@@ -215,7 +217,7 @@ def test_an_assumed_mass_is_divided_out():
 
 
 def test_fits_without_a_covariance_are_compared_and_not_drawn():
-    without = dataclasses.replace(fitted(), fit=dataclasses.replace(fitted().fit, covariance=None))
+    without = dataclasses.replace(fitted(), fit=dataclasses.replace(fitted().fit, minima=()))
     found = pianofit.compare(fitted(), without)
     assert found.felts is None
     assert found["f0"].z == 0
@@ -378,7 +380,7 @@ def test_a_file_that_lacks_something_is_one_error(part, held, tmp_path):
 
 
 def test_without_a_covariance_the_felts_are_left_out(tmp_path):
-    (tmp_path / "fit.json").write_bytes(encode_json(dataclasses.replace(fitted().fit, covariance=None)))
+    (tmp_path / "fit.json").write_bytes(encode_json(dataclasses.replace(fitted().fit, minima=())))
     found = pianofit.compare(tmp_path, fitted())
     assert found.felts is None
     assert any("covariance" in message for message in found.warnings)

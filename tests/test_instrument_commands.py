@@ -175,7 +175,7 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     (("play", "melody.mid", "melody.mid", "--out", "x.wav"), "not an instrument.json"),
     (("instrument", "nowhere", "--out", "x"), "no such file or folder"),
     (("instrument", "melody.mid", "--out", "x"), "not a fit.json"),
-    (("instrument", "@", "--out", "x"), "schema 3 is not 5; fit again"),
+    (("instrument", "@", "--out", "x"), "schema 4 is not 6; fit again"),
 ])  # fmt: skip
 def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, melody, monkeypatch):
     monkeypatch.chdir(melody.parent)
@@ -227,8 +227,8 @@ def discrepant(velocity: object, db: object) -> dict:
 
 
 BAD_INSTRUMENTS = {
-    "kind": (changed("kind", "fit"), "schema 3"),
-    "schema": (changed("schema", 99), "schema 3"),
+    "kind": (changed("kind", "fit"), "schema 4"),
+    "schema": (changed("schema", 99), "schema 4"),
     "quantity": (changed("quantity", ["x" * 999]), r"quantity = \['xxx.*\.\.\. must be one of velocity, "),
     "keys": (changed("keys", {}), r"keys = \{\} must be a list"),
     "no keys": (changed("keys", []), r"keys = \[\] must be a list of length >= 1"),

@@ -39,7 +39,8 @@ USES = {
     "schema": "felt io model parameters",
     "inference": "analysis dsp felt io literature model parameters progress recording setup threads x64",
     "synthetic": "felt io literature model parameters recording setup",
-    "result": "analysis criterion deferred felt inference io model parameters progress recording schema setup threads",
+    "result": "analysis criterion deferred felt inference io literature model parameters progress recording schema"
+    " setup threads",
     "modal_response": "analysis dsp model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "report": "analysis dsp felt io modal_response model parameters result schema",
@@ -50,7 +51,7 @@ USES = {
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io model parameters threads",
     "export": "analysis dsp instrument io model playback report threads",
-    "web": "analysis dsp instrument io model parameters playback recording report schema",
+    "web": "analysis dsp instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"
     " parameters playback progress recording report result schema setup synthetic threads web",
     "__main__": "cli",

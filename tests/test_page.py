@@ -267,7 +267,7 @@ def test_a_knock_in_a_note_is_checked(tmp_path):
 
 
 def test_the_sliders_have_the_intervals_of_the_instrument():
-    values = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
+    values = {"F/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
     assert slider_intervals({name: KeyValue(x, (low, high)) for name, (x, low, high) in values.items()}) == {
         "force": (0.5, 2.0),
         "p": pytest.approx((-0.1, 0.2)),

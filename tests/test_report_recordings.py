@@ -26,6 +26,7 @@ from report_cases import (
     example_result,
     example_strokes,
     fit_of_recordings,
+    minimum,
     response_content,
 )
 from scipy.signal import resample_poly
@@ -38,11 +39,9 @@ from pianofit.report.identifiability import (
     CONDITIONAL,
     DETERMINED,
     UNDETERMINED,
-    correlations,
     draw_identifiability,
     half_widths,
     identifiability_sections,
-    is_scale_open,
 )
 from pianofit.report.page import _slider, report_bytes, strokes_of
 from pianofit.report.sound import make_clips
@@ -104,7 +103,7 @@ def test_figure_of_identifiability_has_the_given_numbers():
     drawn = " ".join(drawn_in(report_bytes(result, "three recordings").decode()))
     for label in ("± 1.2\u00a0×\u00a010⁻⁶ %", "± 5 %", "× or ÷ 4200", "unknown"):
         assert label in drawn, label
-    below = [round(100 * r) for i, row in enumerate(correlations(result).matrix) for r in row[:i] if abs(r) >= 0.1]
+    below = [round(100 * r) for i, row in enumerate(result.correlation.matrix) for r in row[:i] if abs(r) >= 0.1]
     assert below
     for r in below:
         assert f">{r:+d}<".replace("-", "−") in drawn
@@ -208,7 +207,7 @@ def test_figure_of_the_felt_stands_any_law_and_stroke(monkeypatch, law, pulse):
     ids=["one unknown", "nan correlation"],
 )
 def test_figure_of_identifiability_stands_any_numbers(monkeypatch, correlation, halves):
-    monkeypatch.setattr("pianofit.report.identifiability.correlations", lambda _: correlation)
+    monkeypatch.setattr(Result, "correlation", correlation)
     monkeypatch.setattr("pianofit.report.identifiability.half_widths", lambda _: halves)
     with page_style():
         assert len(draw_identifiability(example_result())) == 2
@@ -262,14 +261,14 @@ def result_of(
     }
     spans = {"f0": [99.0, 101.0], "x0/L": None, "F/M_S": [80.0, 125.0]}
     content["invariants"] = {name: {"value": 100.0, "interval": span} for name, span in spans.items()}
-    content["covariance"] = covariance_content(len(velocities), [name for name in free if name in SHARED])
+    covariance = covariance_content(len(velocities), [name for name in free if name in SHARED])
     if memory:
         names = [*SHARED, "epsilon", "tau"]
         factor = np.zeros((len(names), len(names)))
         rows = [names.index(name) for name in free]
         factor[np.ix_(rows, rows)] = np.random.default_rng(4).normal(0, 0.01, (len(rows), len(rows)))
-        content["covariance"] = {"names": names, "matrix": (factor @ factor.T).tolist()}
-    content["minima"] = []
+        covariance = {"names": names, "matrix": (factor @ factor.T).tolist()}
+    content["minima"] = [minimum(1.0, 0.0) | {"covariance": covariance}]
     fit = example_fit(content)
     sounds = [rendered(velocity, memory) for velocity in velocities]
     (template,) = example_recordings(rate=RATE, seconds=1.0, count=12)
@@ -299,7 +298,7 @@ def test_the_felts_band_is_what_chance_gives(memory):
 
 def test_half_widths_and_correlations_are_those_of_the_fit():
     result = result_of()
-    correlation = correlations(result)
+    correlation = result.correlation
     assert correlation is not None
     assert correlation.names == ("c", "kappa", "K_H", "p", "M_H")
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
@@ -312,30 +311,28 @@ def test_half_widths_and_correlations_are_those_of_the_fit():
     np.testing.assert_allclose(correlation.matrix, sampled, atol=0.02)
 
 
-def with_covariance(result: Result, covariance: Covariance, **velocity) -> Result:
-    """Return the result with another covariance, and with another entry of the velocity."""
-    parameters = dict(result.parameters)
-    parameters["v_H0"] = replace(parameters["v_H0"], **velocity)
-    return replace(
-        result, fit=replace(result.fit, covariance=covariance, parameters=type(result.parameters)(parameters))
-    )
+def with_covariance(result: Result, covariance: Covariance, **recording: object) -> Result:
+    """Return the result with another covariance, and with other entries of its first recording."""
+    (minimum,), (first, *others) = result.fit.minima, result.fit.recordings
+    minima = (replace(minimum, covariance=covariance),)
+    return replace(result, fit=replace(result.fit, minima=minima, recordings=(replace(first, **recording), *others)))
 
 
 def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     plain = result_of()
     wider = scaled_by_velocity(plain.covariance)
-    scaled = with_covariance(plain, wider, interval=(1.0, 9.0), status="scaled")
-    wide = with_covariance(plain, wider)
+    scaled = with_covariance(plain, wider)
+    wide = with_covariance(plain, wider, gain_status="given")
     np.testing.assert_allclose(static_law(scaled).force, static_law(plain).force, rtol=1e-6)
     assert np.log(static_law(wide).force[2, 20] / static_law(plain).force[2, 20]) > 1
-    one, other = correlations(scaled), correlations(plain)
+    one, other = scaled.correlation, plain.correlation
     assert one.names == other.names  # μ varies only with the scale
     np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-6)
 
 
 def test_a_fit_without_intervals_claims_no_band():
     result = result_of(velocities=(2.0,), interval=False)
-    assert correlations(result) is None
+    assert result.correlation is None
     law = static_law(result)
     np.testing.assert_array_equal(law.force[1], law.force[0])
     np.testing.assert_array_equal(law.force[2], law.force[0])
@@ -422,9 +419,9 @@ def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
 def test_a_scale_is_open_where_not_even_ratios_are_identified():
     content = example_content()
     content["parameters"]["v_H0"] |= {"status": "not-identifiable"}
-    assert is_scale_open(example_fit(content))
+    assert example_fit(content).velocity_scale_open
     content["recordings"][0]["gain_status"] = "given"
-    assert not is_scale_open(example_fit(content))
+    assert not example_fit(content).velocity_scale_open
 
 
 def test_what_the_claims_question_is_not_called_determined():

@@ -116,7 +116,7 @@ def errors(fit: Fit, truth: Truth) -> dict[str, float]:
     """Relative errors of a calibrated fit; `felt` is the largest error of the force over compression."""
     found = {name: fit.parameters[name].value for name in FIT_NAMES}
     off = {name: abs(found[name] / truth.values[name] - 1) for name in ALLOWED}
-    u = np.linspace(0.2, 1.0, 33) * fit.derived.max_compression_mm / 1e3
+    u = np.linspace(0.2, 1.0, 33) * fit.derived.quantities.peak_compression.value / 1e3
     force = found["K_H"] * u ** found["p"] / (truth.hammer.K_H * u**truth.hammer.p)
     return off | {"felt": float(np.abs(force - 1).max())}
 

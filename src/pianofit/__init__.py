@@ -19,6 +19,7 @@ __all__ += ["Setup", "RecordingInfo", "Measured", "fit", "Result", "Quantity", "
 __all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
 # Prediction of recordings that were not fitted.
 __all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
+__all__ += ["ModelDraw", "DerivedQuantity"]
 # Model: from parameters to motion and sound.
 __all__ += ["String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation"]
 __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav"]
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Result
     from .result.cross_validation import CrossValidation, LeftOutRecording, cross_validate
+    from .result.derived import DerivedQuantity, ModelDraw
     from .result.prediction import Prediction, predict_recording
     from .schema.notes import load_note
     from .schema.quantities import Covariance, Quantities, Quantity
@@ -102,6 +104,7 @@ _MODULES = {
     "fitting": ("fit",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Result",),
+    "result.derived": ("DerivedQuantity", "ModelDraw"),
     "result.cross_validation": ("CrossValidation", "LeftOutRecording", "cross_validate"),
     "result.prediction": ("Prediction", "predict_recording"),
     "felt": ("FeltLaw", "RelaxingHammer"),

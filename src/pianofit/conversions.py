@@ -13,6 +13,7 @@ LOWEST_KEY, HIGHEST_KEY = 21, 108
 # Cents per unit of the natural logarithm of a frequency, and dB per unit of that of an amplitude.
 CENTS = 1200 / math.log(2)
 DB = 20 / math.log(10)
+T60_DB = 60.0  # fall of a level in the time T60
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .conversions import hertz_of
+from .conversions import HIGHEST_KEY, LOWEST_KEY, hertz_of
 from .errors import AnalysisError, ParameterError, check_range
 from .parameters import Geometry, Hammer, String
 
@@ -36,6 +36,9 @@ TYPICAL_MU = 0.1  # s/m, initial value of the paper (Table III)
 TYPICAL_VELOCITY = 2.0  # m/s, mezzo-forte
 STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier have 0.116 to 0.121
 PICKUP = 0.30  # x_m/L, away from nodes of the first partials; chosen, not published
+# Reference compression over the one that a rigid stop causes. Strings yield: the literature's hammers reach 0.56 to
+# 0.92 of it on their own strings, and strokes determine the force at about half of what they reach.
+REFERENCE_SHARE = 1 / 3
 WIDTH = 0.02  # m, full width of the contact window; chosen, not published
 
 
@@ -211,6 +214,28 @@ def typical(note: str | float) -> Preset:
     'between A3 and A4'
     """
     return _typical(*_midi(note))
+
+
+def reference_compression(midi: float) -> float:
+    """Return the reference compression of a key, m: every felt force that is reported without another holds there.
+
+    It depends on the key alone, so forces of all fits of a key, and of an instrument, are those of one compression. It
+    is `REFERENCE_SHARE` of the compression with which a rigid stop brakes the literature's hammer from
+    `TYPICAL_VELOCITY`.
+
+    Parameters
+    ----------
+    midi : MIDI number or pitch. The nearest key of a piano counts.
+
+    Examples
+    --------
+    >>> from pianofit.literature import reference_compression
+    >>> f"{1e3 * reference_compression(60):.3f} mm"
+    '0.203 mm'
+    """
+    h = typical(float(min(max(round(midi), LOWEST_KEY), HIGHEST_KEY))).hammer
+    braked = (0.5 * (h.p + 1) * h.M_H * TYPICAL_VELOCITY**2 / h.K_H) ** (1 / (h.p + 1))
+    return float(REFERENCE_SHARE * braked)
 
 
 def _typical(midi: float, name: str) -> Preset:

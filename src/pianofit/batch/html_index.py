@@ -33,7 +33,7 @@ INVARIANTS = {
     "B": ("inharmonicity", ""),
     "M_H/M_S": ("hammer mass over string mass", ""),
     "x0/L": ("strike position over string length", ""),
-    "F/M_S": ("static force of the felt at one compression, over string mass", "N/kg"),
+    "F/M_S": ("static felt force at the reference compression of the key, over string mass", "N/kg"),
 }
 MAX_TOTAL_SAMPLES = 4_000_000  # of all sounds of the page together: 8 MB
 MAX_SECONDS = 3.0  # s, of each sound

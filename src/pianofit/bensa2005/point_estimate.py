@@ -9,20 +9,20 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
-from ..inference import InitialValues, names_of
+from ..inference import InitialValues
 from ..model import Simulation
 from ..model.free_response import level_db, modal_amplitudes
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result
-from ..result.build_result import derived_of, pickup_of, record_of
+from ..result.build_result import derived_of, pickup_of, record_of, with_derived
 from ..result.comparison import RecordingComparison, worse_bands
 from ..result.estimates import fixed_quantity, sizes
 from ..result.warnings import AT_BOUND, NOT_CONVERGED
 from ..schema.diagnostics import Diagnostics
 from ..schema.fit import Criterion, Fit, package_versions
-from ..schema.quantities import Covariance, Quantities, Status
+from ..schema.quantities import Quantities, Status
 
 
 def point_result(
@@ -65,7 +65,6 @@ def point_result(
     )
     compared = comparison.compare(before, after, comparison.level_errors(before.level, after.level))
     parameters = _parameters(start, (*string, *hammer), values, at_bound)
-    names = (*(name for name in names_of(start.law) if name in parameters), "v_H0")
     record = record_of(compared, parameters["v_H0"], start.scale is not None)
     fit = Fit(
         recipe=recipe,
@@ -83,14 +82,13 @@ def point_result(
         recordings=(record,),
         pickup=pickup_of(start.quantity, [compared], [record]),
         minima=(),
-        covariance=Covariance(names, np.zeros((len(names), len(names)))),
         derived=derived_of(compared),
         criterion=compared.criterion,
         levels=compared.levels,
         diagnostics=Diagnostics(evaluations, len(analysis.partials)),
         versions=package_versions(),
     )
-    return Result(fit, (compared,), ((after.note,),))
+    return with_derived(Result(fit, (compared,), ((after.note,),)))
 
 
 def _statements(criterion: Criterion, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:

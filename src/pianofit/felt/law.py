@@ -66,8 +66,8 @@ class FeltLaw:
     ... )
     >>> hammer = straw.hammer(k=2e4, M_H=5e-3, v_H0=1.0)
     >>> it = pianofit.typical("C4")
-    >>> f"{1e3 * pianofit.simulate(it.string, hammer, it.geometry).contact_time:.1f} ms"
-    '2.7 ms'
+    >>> f"{1e3 * pianofit.simulate(it.string, hammer, it.geometry).contact_time:.2f} ms"
+    '2.65 ms'
     """
 
     name: str

@@ -164,6 +164,14 @@ class Parametrisation:
             out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 
+    def force_direction(self, theta: np.ndarray) -> np.ndarray:
+        """Change of the log values by which log F(u_ref) = log K_H + p log u_ref changes [size]."""
+        direction = np.zeros(self.size)
+        if self.force_and_exponent_index:
+            force, p = self.force_and_exponent_index
+            direction[force], direction[p] = 1.0, self._shift(theta)[force]
+        return direction
+
     def value(self, name: str, log: float) -> float:
         """A value from its logarithm, limited to its range: the exponential of a bound's logarithm can exceed it."""
         value, ranges = float(np.exp(log)), ALL_PARAMETERS | self.law.hammer_parameters

@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis import SAME_KEY_CENTS, Analysis, cents_above
+from ..conversions import midi_of
 from ..errors import FitError
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.files import printable
 from ..io.number_format import counted
+from ..literature import reference_compression
 from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
@@ -241,7 +243,7 @@ def _model(
     first = simulate(string, start.reference_hammer._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
     # A given stiffness is fixed as it is: at a reference compression of 1 m it is the force.
     fixed = law.power is None or law.power[0] in start.fixed
-    log_u = 0.0 if fixed else float(np.log(0.5 * first.pulse.compression.max()))
+    log_u = 0.0 if fixed else float(np.log(reference_compression(midi_of(string.c / (2 * geometry.length)))))
     unknowns = _parametrisation(start, measured, log_u)
     round_trip = 2 * geometry.strike_position / string.c
     contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)

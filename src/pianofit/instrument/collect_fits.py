@@ -20,6 +20,7 @@ from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..io.files import printable
 from ..io.number_format import log_half_width
+from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
@@ -27,7 +28,7 @@ from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..schema.quantities import Quantity
-from .key_quantities import LAW_QUANTITIES, reference_compression
+from .key_quantities import LAW_QUANTITIES
 
 # Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST_VELOCITY = 4.0
@@ -169,8 +170,7 @@ def _load_key(file: Path) -> KeyFit:
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
-    is_calibrated = any("given" in (r.gain_status, r.v_H0_status) for r in fit.recordings)
-    scale = 1.0 if is_calibrated else LOUDEST_VELOCITY / float(velocities[-1])
+    scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     # The law is in log μ, so a felt without loss gets the smallest allowed μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
@@ -237,7 +237,7 @@ def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, floa
         "p": s["p"],
         "mu": s["mu"],
         "x0/L": s["x0"],
-        "K/M_S": _felt_sd(s, fit, note, midi, scale),
+        "F/M_S": _felt_sd(s, fit, note, midi, scale),
     }
     factor = 1.0 if fit.converged else NONCONVERGED_FACTOR
     own = {name: max(factor * x, 1e-4) for name, x in sd.items() if x is not None}
@@ -262,15 +262,11 @@ def _felt_sd(s: dict[str, float | None], fit: Fit, note: Note, midi: int, scale:
     """
     force = fit.invariants.get("F/M_S")
     error, sd_of_stiffness, sd_of_exponent = _log_sd(force), s["K_H"], s["p"]
-    if force is None or error is None or sd_of_stiffness is None or sd_of_exponent is None or force.value <= 0:
+    if force is None or error is None or sd_of_stiffness is None or sd_of_exponent is None:
         return sd_of_stiffness
-    h = note.hammer
-    log_u = math.log(force.value * note.geometry.mass / h.K_H) / h.p
-    if log_u >= 0:  # at least a metre of compression, which is not a felt
-        return sd_of_stiffness
-    p, covariance = sd_of_exponent * float(h.p), 0.0
-    velocity = fit.parameters.get("v_H0")
-    if velocity is None or velocity.status != "scaled":
+    log_u = math.log(1e-3 * fit.derived.reference_compression_mm)
+    p, covariance = sd_of_exponent * float(note.hammer.p), 0.0
+    if not fit.velocity_scale_open:
         covariance = (error**2 + (log_u * p) ** 2 - sd_of_stiffness**2) / (2 * log_u)
         covariance = float(np.clip(covariance, -error * p, error * p))
     distance = math.log(reference_compression(midi)) - log_u - math.log(scale)

@@ -13,13 +13,10 @@ from typing import Any, Literal
 import numpy as np
 
 from ..conversions import hertz_of, midi_of
-from ..literature import PICKUP, typical
+from ..literature import PICKUP, TYPICAL_VELOCITY, reference_compression, typical
 from ..model.note import Note
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from .laws import Prior
-
-# Hammer velocity of the reference compression, m/s.
-REFERENCE_VELOCITY = 2.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,7 @@ LAW_QUANTITIES = {
     "b1": LawQuantity("loss parameter b₁, the same for all partials", "1/s", Prior(0.7, 0.5, 0.6)),
     "d2": LawQuantity("loss d₂ = b₂π²/L², growing with k²", "1/s", Prior(1.0, 0.7, 0.8)),
     "M_H/M_S": LawQuantity("hammer mass over string mass M_H/M_S", "1", Prior(0.6, 0.4, 0.5)),
-    "K/M_S": LawQuantity("felt force at the reference compression over string mass", "N/kg", Prior(1.5, 1.0, 1.0)),
+    "F/M_S": LawQuantity("felt force at the reference compression over string mass", "N/kg", Prior(1.5, 1.0, 1.0)),
     "p": LawQuantity("felt exponent p", "1", Prior(0.2, 0.1, 0.15)),
     "mu": LawQuantity("felt loss coefficient μ", "s/m", Prior(1.2, 0.5, 0.8)),
     "x0/L": LawQuantity("strike position x₀/L", "1", Prior(0.2, 0.2, 0.2), 1e-2),
@@ -70,18 +67,12 @@ def is_force(quantity: str) -> bool:
     return quantity in ("bridge-force", "pressure")
 
 
-def reference_compression(midi: float) -> float:
-    """Return u_ref, m: the largest compression of the literature's hammer that a rigid string stops from 2 m/s."""
-    h = typical(midi).hammer
-    return float((0.5 * (h.p + 1) * h.M_H * REFERENCE_VELOCITY**2 / h.K_H) ** (1 / (h.p + 1)))
-
-
 def key_quantities(note: Note, midi: int) -> dict[str, float]:
     """Return the `LAW_QUANTITIES` of a note.
 
     They are the deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s),
-    ratios to string mass and length, the felt force at u_ref over the string mass (N/kg), p, μ (s/m), and the gain,
-    times M_S for bridge force and pressure.
+    ratios to string mass and length, the felt force at the `reference_compression` over the string mass (N/kg), p, μ
+    (s/m), and the gain, times M_S for bridge force and pressure.
     """
     s, h, g = note.string, note.hammer, note.geometry
     return {
@@ -90,7 +81,7 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
         "M_H/M_S": h.M_H / g.mass,
-        "K/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
+        "F/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
         "p": h.p,
         "mu": h.mu,
         "x0/L": g.strike_position / g.length,
@@ -103,7 +94,7 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
 
 
 def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note:
-    """Return the note with these `LAW_QUANTITIES`, clipped to `PARAMETERS`, struck at `REFERENCE_VELOCITY`."""
+    """Return the note with these `LAW_QUANTITIES`, clipped to `PARAMETERS`, struck at `TYPICAL_VELOCITY`."""
     length = at["L"]
     mass = at["M_S/L"] * length
     c = 2 * length * hertz_of(midi + at["cents"] / 100)
@@ -115,11 +106,11 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
         "b2": at["d2"] * (length / math.pi) ** 2,
     }
     hammer = {
-        "K_H": at["K/M_S"] * mass / reference_compression(midi) ** at["p"],
+        "K_H": at["F/M_S"] * mass / reference_compression(midi) ** at["p"],
         "mu": at["mu"],
         "p": at["p"],
         "M_H": at["M_H/M_S"] * mass,
-        "v_H0": REFERENCE_VELOCITY,
+        "v_H0": TYPICAL_VELOCITY,
     }
     # The contact window stays on the string.
     width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))

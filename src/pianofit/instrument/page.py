@@ -16,13 +16,14 @@ from .. import __version__
 from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.number_format import number
+from ..literature import reference_compression
 from ..report import html
 from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from ..schema.instrument import PartialEntry
 from .collect_fits import LOUDEST_VELOCITY
 from .instrument import KEY_STATES, Instrument, Key
-from .key_quantities import LAW_QUANTITIES, reference_compression
+from .key_quantities import LAW_QUANTITIES
 from .laws import OUTLIER_SD
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
 FIGURES = {
     "string": ("cents", "B", "b1", "d2"),
-    "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
+    "hammer": ("M_H/M_S", "F/M_S", "p", "mu"),
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
 DECAYS = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}
@@ -70,7 +71,8 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
 
 def _row(midi: int, key: Key) -> dict[str, Any]:
     s, h, g, fit = key.note.string, key.note.hammer, key.note.geometry, key.fit
-    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, h.K_H]
+    u, force = 1e3 * reference_compression(midi), key.values["F/M_S"].value
+    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, u, force * g.mass, force, h.K_H]
     cells = [
         f"{key.note.f0:.2f}",
         *(number(x, 3) for x in rounded),

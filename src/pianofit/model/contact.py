@@ -155,6 +155,27 @@ def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> P
 
 
 @float64
+def strike_until_over(modes: Modes, hammer: Any, *, steps: int | AnyArray, stored: int) -> tuple[Pulse, Array]:
+    """Return the pulse of a strike on a string at rest; it stops once the contact is proven over.
+
+    Parameters
+    ----------
+    steps : largest number of steps, a multiple of 32, at most `stored`. It may be traced.
+    stored : steps of the arrays of the pulse.
+
+    Returns
+    -------
+    The pulse [stored], and the number of computed steps; later ones are zero.
+    """
+    zero = jnp.zeros_like(modes.step)
+    at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
+    outputs = (*(jnp.zeros(stored + 1),) * 4, jnp.zeros(stored + 1).at[0].set(hammer.v_H0))
+    count, _, _, outputs, work, over = _until_over(modes, hammer, at_rest, steps, None, outputs)
+    drive, force, u, y, v = (x[:-1] for x in outputs)
+    return Pulse(drive, force, u, jnp.stack([y, v], axis=-1), work, over), jnp.asarray(count * BLOCK)
+
+
+@float64
 def strike_moving_string(
     modes: Modes,
     hammer: Any,
@@ -178,7 +199,7 @@ def strike_moving_string(
     `drive` and `force`, N [steps], zero after the end, and true if the contact is proven to be over.
     """
     free = free_motion(modes, displacement, velocity)
-    *_, (drive, force), over = _until_over(modes, hammer, free, steps, powers, (jnp.zeros(steps + 1),) * 2)
+    *_, (drive, force), _, over = _until_over(modes, hammer, free, steps, powers, (jnp.zeros(steps + 1),) * 2)
     return drive[:-1], force[:-1], over
 
 
@@ -187,11 +208,13 @@ def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArr
 
     Parameters
     ----------
-    outputs : arrays that receive drive and force, N [steps + 1]; without them neither is stored.
+    outputs : arrays that receive drive and force, N, compression, m, and the hammer's position, m, and velocity, m/s
+        [steps + 1], as many of these as given.
 
     Returns
     -------
-    The number of blocks, the state, whether hammer and string are apart, the `outputs`, and whether contact is over.
+    The number of blocks, the state, whether hammer and string are apart, the `outputs`, the energy that the string has
+    received, J, and whether contact is over.
     """
     under = (modes.strike * free.amplitude.real).sum()
     block, first = _blocks(modes, hammer, under, free.speed, None, powers)
@@ -205,14 +228,15 @@ def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArr
         carry, (*forces, u, y, v) = block(carry, jnp.zeros(BLOCK))
         string, at = y - u, (1 + count * BLOCK,)
         energy = energy + 0.5 * (forces[0] * (string - jnp.append(previous, string[:-1]))).sum()
-        outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, forces, strict=False))
+        history = (*forces, u, y, v)
+        outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, history, strict=False))
         over = _cannot_return(modes, u[-1], y[-1], v[-1], energy)
         return count + 1, carry, u[-1] <= 0, outputs, string[-1], energy, over
 
     no = jnp.asarray(False)
     initial = (0, ((advanced.real, advanced.imag), first), no, outputs, under, free.energy, no)
-    count, carry, separated, outputs, _, _, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
-    return count, carry, separated, outputs, over
+    count, carry, separated, outputs, _, work, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
+    return count, carry, separated, outputs, work, over
 
 
 def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:

@@ -73,16 +73,19 @@ class Simulation(NamedTuple):
         """All contacts of hammer and string, in order.
 
         The felt stays compressed during a contact. The force may fall to 0 within it, if the loss of the felt exceeds
-        the elastic force. A contact ends with its last force.
+        the elastic force. A contact ends with its last force, interpolated between steps.
         """
-        force, step = np.asarray(self.pulse.force), float(self.modes.step)
-        pressed = np.concatenate([[False], np.asarray(self.pulse.compression) > 0, [False]])
+        force, u, step = np.asarray(self.pulse.force), np.asarray(self.pulse.compression), float(self.modes.step)
+        pressed = np.concatenate([[False], u > 0, [False]])
         edges = np.flatnonzero(np.diff(pressed.astype(int)))
         contacts = []
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             acting = start + np.flatnonzero(force[start:stop] > 0)
             if acting.size:
-                contacts.append(Contact(acting[0] * step, (acting[-1] + 1) * step, float(force[start:stop].max())))
+                last = acting[-1]
+                apart = last == stop - 1 and stop < len(u)  # else the loss of the felt ends the force
+                end = last + (u[last] / (u[last] - u[stop]) if apart else 1.0)
+                contacts.append(Contact(acting[0] * step, float(end) * step, float(force[start:stop].max())))
         return tuple(contacts)
 
     @property

@@ -42,6 +42,7 @@ class Comparison:
     quantities: tuple[ComparedQuantity, ...]
     felts: tuple[StaticLaw, StaticLaw] | None
     felt_unit: str  # N, or N/kg if the mass of a string was assumed
+    compressions_mm: tuple[float, float]  # reference compressions, at which felt forces are compared
     warnings: tuple[str, ...]
 
     def __getitem__(self, name: str) -> ComparedQuantity:
@@ -68,7 +69,7 @@ class Comparison:
         return f"{html_table(self._heading, map(_cells, self))}<ul>{notes}</ul>"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the static force of both felts over compression with 95 % bands, and a mark at the compared compression.
+        """Draw the static force of both felts over compression with 95 % bands, and marks at the reference compression.
 
         Raises
         ------
@@ -76,7 +77,9 @@ class Comparison:
             If a fit has no covariance, so that no band can be drawn.
         """
         felts = self._drawable()
-        return drawn_on(ax, lambda axes: draw_compared_laws(axes, felts, self.labels, self.felt_unit))
+        return drawn_on(
+            ax, lambda axes: draw_compared_laws(axes, felts, self.compressions_mm, self.labels, self.felt_unit)
+        )
 
     def figure(self, kind: str = "svg") -> bytes:
         """Return `plot`, with the ratio of both forces, as the content of a file: svg, png or pdf.
@@ -90,7 +93,7 @@ class Comparison:
         """
         if kind not in FIGURE_KINDS:
             raise ParameterError(f"kind={kind!r} must be one of {', '.join(FIGURE_KINDS)}")
-        return compared_laws(self._drawable(), self.labels, self.felt_unit, kind)
+        return compared_laws(self._drawable(), self.compressions_mm, self.labels, self.felt_unit, kind)
 
     def _drawable(self) -> tuple[StaticLaw, StaticLaw]:
         if self.felts is None:
@@ -146,7 +149,9 @@ def compare(
     results, names = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
     sides = Sides(results, names)
     laws, problems = sides.laws()
-    return Comparison(names, sides.quantities(laws), laws, sides.felt_unit, (*sides.warnings(), *problems))
+    return Comparison(
+        names, sides.quantities(), laws, sides.felt_unit, sides.compressions_mm, (*sides.warnings(), *problems)
+    )
 
 
 def _result(fit: Any, name: str) -> Result:

@@ -7,7 +7,7 @@ the sum of both variances.
 A z is computed only where both fits measured the same thing. A value that was given, assumed, at a search bound or not
 identifiable is not a measurement. A value that scales with an assumed length or mass is comparable only if both fits
 assumed the same. A value that scales with an unmeasured velocity is not comparable. K_H is not comparable between
-different p, because its unit depends on p. The static force of the felt at one compression is compared instead.
+different p, because its unit depends on p. The felt force at the reference compression of the key is compared instead.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -29,13 +28,11 @@ from ..io.number_format import log_half_width
 from ..result import Result
 from ..schema.fit import Fit
 from ..schema.quantities import Quantity
-from .identifiability import is_scale_open
 from .static_law import StaticLaw, largest_compression, static_law
 from .text import NOT_FELT, VELOCITY_RATIO
 
-# Largest difference of the logarithms of equal numbers, from rounding in a file; and of a compression that was computed
-# from a force.
-SAME, SAME_COMPRESSION = 1e-9, 1e-6
+# Largest difference of the logarithms of equal numbers, from rounding in a file.
+SAME = 1e-9
 NOT_MEASURED = {
     "given": "held fixed in {}",
     "assumed": "assumed in {}",
@@ -85,6 +82,12 @@ class Sides:
         """Unit of the static force: N, or N/kg (force over string mass) if a mass was assumed."""
         return "N" if all(fit.parameters["M_S"].status == "given" for fit in self.fits) else "N/kg"
 
+    @property
+    def compressions_mm(self) -> tuple[float, float]:
+        """Reference compressions of both keys, mm."""
+        first, second = (fit.derived.reference_compression_mm for fit in self.fits)
+        return first, second
+
     def where(self, which: Sequence[bool]) -> str:
         """Return the labels of the fits for which `which` is true."""
         return " and ".join(label for label, holds in zip(self.labels, which, strict=True) if holds)
@@ -103,38 +106,24 @@ class Sides:
             )
         return (first, second), ()
 
-    def quantities(self, laws: tuple[StaticLaw, StaticLaw] | None) -> tuple[ComparedQuantity, ...]:
-        """Return every quantity of two fits: invariants, force of the felts at one compression, parameters."""
-        force = () if laws is None else (self._force(laws),)
-        first, second = self.fits
-        tables = (first.invariants, second.invariants), (first.parameters, second.parameters)
-        invariants, parameters = (
-            [self._compared(a.get(name), b.get(name)) for name in dict.fromkeys([*a, *b])] for a, b in tables
-        )
-        return (*invariants, *force, *parameters)
+    def quantities(self) -> tuple[ComparedQuantity, ...]:
+        """Return every quantity of two fits: invariants, derived quantities, parameters."""
+        tables = zip(*((fit.invariants, fit.derived.quantities, fit.parameters) for fit in self.fits), strict=True)
+        return tuple(self._compared(a.get(name), b.get(name)) for a, b in tables for name in dict.fromkeys([*a, *b]))
 
-    def _compared(self, a: Quantity | None, b: Quantity | None, objection: str = "") -> ComparedQuantity:
-        """Return the difference and z, from the logarithms, unless there is an `objection`."""
+    def _compared(self, a: Quantity | None, b: Quantity | None) -> ComparedQuantity:
+        """Return the difference and z, from the logarithms."""
         if a is None or b is None:
             present, label = (a, self.labels[0]) if b is None else (b, self.labels[1])
             name, unit = ("", "") if present is None else (present.name, present.unit)
             return ComparedQuantity(name, unit, a, b, reason=f"only in {label}")
-        if reason := self._reason(a, b) or objection:
+        if reason := self._reason(a, b):
             return ComparedQuantity(a.name, a.unit, a, b, reason=reason)
         log_ratio = math.log(b.value / a.value)
         sd = math.hypot(*(log_half_width(q.interval) or 0.0 for q in (a, b))) / HALF_WIDTH_95
         # The logarithmic mean turns a difference of logarithms into one of values, exactly.
         mean = (b.value - a.value) / log_ratio if abs(log_ratio) > SAME else 0.5 * (a.value + b.value)
         return ComparedQuantity(a.name, a.unit, a, b, b.value - a.value, mean * sd, log_ratio / sd)
-
-    def _force(self, laws: tuple[StaticLaw, StaticLaw]) -> ComparedQuantity:
-        """Return the comparison of the static forces at one compression within the range of both felts."""
-        index, name = laws[0].middle, "F" if self.felt_unit == "N" else "F/M_S"
-        label = f"{name} at {laws[0].compression_mm[index]:.3g} mm"
-        first, second = (
-            _force_at(law, index, label, fit, self.felt_unit) for law, fit in zip(laws, self.fits, strict=True)
-        )
-        return self._compared(first, second, self._open_scales([is_scale_open(fit) for fit in self.fits]))
 
     def _open_scales(self, which: Sequence[bool]) -> str:
         return f"scales with velocities that were not measured in {self.where(which)}" if any(which) else ""
@@ -165,11 +154,11 @@ class Sides:
             if law is not None and law.power and a.name == law.power[0]:
                 first, second = (fit.parameters[law.power[1]] for fit in self.fits)
                 if first.value != second.value or {first.status, second.status} != {"given"}:
-                    return f"its unit changes with {law.power[1]}; compare the force at one compression"
-        if a.name == "F/M_S":
-            first, second = map(_compression, self.fits)
-            if first is None or second is None or abs(math.log(first / second)) > SAME_COMPRESSION:
-                return "at different compressions; compare the force at one compression"
+                    return f"its unit changes with {law.power[1]}; compare F/M_S"
+        if a.name in ("F/M_S", "felt_force"):
+            first, second = (fit.derived.reference_compression_mm for fit in self.fits)
+            if abs(math.log(first / second)) > SAME:
+                return f"at different compressions: {first:.3g} and {second:.3g} mm"
         if a.name.startswith(VELOCITY_RATIO) and _checksums(one, a.name) != _checksums(other, b.name):
             return "of different recordings"
         return "" if a.unit == b.unit else f"in different units: {a.unit} and {b.unit}"
@@ -186,7 +175,7 @@ class Sides:
                     values = f"{first.value:.5g} {first.unit} and {second.value:.5g} {second.unit}"
                     return f"scales with different assumed values of the {size}: {values}"
         return self._open_scales(
-            [q.status == "scaled" and _scales_with_velocity(q) and is_scale_open(f) for q, f in pairs]
+            [q.status == "scaled" and _scales_with_velocity(q) and f.velocity_scale_open for q, f in pairs]
         )
 
     # --- limits -------------------------------------------------------------------------------------------------------
@@ -203,30 +192,11 @@ class Sides:
                 f"Both fits contain {len(shared)} recording{'s' * (len(shared) != 1)} in common. Their errors are not "
                 "independent, and z is smaller than for independent recordings."
             )
-        if any(which := [is_scale_open(fit) for fit in self.fits]):
+        if any(which := [fit.velocity_scale_open for fit in self.fits]):
             yield (
                 f"No hammer velocity was measured in {self.where(which)}. Compressions and forces of the felt "
                 "hold at the reference velocity shown."
             )
-
-
-def _force_at(law: StaticLaw, index: int, name: str, fit: Fit, unit: str) -> Quantity:
-    force, low, high = law.force[:, index].tolist()
-    statuses = [quantity.status for own, quantity in fit.parameters.items() if own not in NOT_FELT]
-    worst: Any = next((status for status in ("at-bound", "not-identifiable") if status in statuses), "fitted")
-    interval = (low, high) if fit.has_intervals and low < high else None
-    is_free = any(status not in ("given", "assumed") for status in statuses)
-    meaning = "static force of the felt at a compression that occurs in both fits"
-    return Quantity(name, force, unit, interval, worst if is_free else "given", meaning)
-
-
-def _compression(fit: Fit) -> float | None:
-    """Return the compression of F/M_S, m, if the felt is a power law: (F/K)^(1/p)."""
-    law = LAWS.get(fit.felt)
-    if law is None or law.power is None:
-        return None
-    stiffness, p = (fit.parameters[name].value for name in law.power)
-    return (fit.invariants["F/M_S"].value * fit.parameters["M_S"].value / stiffness) ** (1 / p)
 
 
 def _checksums(fit: Fit, name: str) -> tuple[str, str]:
@@ -237,14 +207,15 @@ def _checksums(fit: Fit, name: str) -> tuple[str, str]:
 
 def _scales_with(quantity: Quantity, size: str, fit: Fit) -> bool:
     """Return whether a value scales with the length or the mass of the string, and that size was assumed."""
-    if quantity.status != "scaled" or fit.parameters[size].status != "assumed" or quantity.name not in fit.parameters:
+    known = quantity.name in fit.parameters or quantity.name in fit.derived.quantities
+    if quantity.status != "scaled" or fit.parameters[size].status != "assumed" or not known:
         return False
     return quantity.name in SCALES_WITH_LENGTH if size == "L" else _has_unit(quantity.unit, "N|kg")
 
 
 def _scales_with_velocity(quantity: Quantity) -> bool:
     """Return whether a quantity would scale with an unknown velocity."""
-    return quantity.name in ("v_H0", "F/M_S") or (quantity.name not in NOT_FELT and _has_unit(quantity.unit, "N|m"))
+    return quantity.name in ("v_H0", "F/M_S") or (quantity.name not in NOT_FELT and _has_unit(quantity.unit, "N|m|mm"))
 
 
 def _has_unit(unit: str, symbols: str) -> bool:

@@ -23,7 +23,6 @@ from ..result import Result
 from ..schema.fit import Fit
 from ..schema.quantities import MEANINGS, Covariance, Quantity
 from .drawing import FITTED, INITIAL, INK, MEASURED, PAPER, make_figure
-from .static_law import shared_covariance
 from .text import SYMBOLS, VELOCITY_RATIO
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def _sentence(fit: Fit, quantity: Quantity, half: float) -> str:
         return f"Pitch: f₀ = {value} Hz (± {number(1200 * half / math.log(2), 2)} cents)."
     if name != "F/M_S":
         return f"{_capitalised(MEANINGS[name])}: {name} = {with_half_interval(quantity.value, half)}."
-    text = f"{_capitalised(quantity.note)}, divided by the mass of the string: "
+    text = f"{_capitalised(quantity.note)}. Divided by the mass of the string: "
     text += f"{name} = {with_half_interval(quantity.value, half, 'N/kg')}."
     stiffness = fit.parameters.get("K_H")
     half_of_stiffness = None if stiffness is None else log_half_width(stiffness.interval)
@@ -83,17 +82,10 @@ def _capitalised(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def is_scale_open(fit: Fit) -> bool:
-    """Return whether the common scale of the velocities is unknown: neither a velocity nor the gain was given."""
-    status = fit.parameters["v_H0"].status
-    given = any("given" in (recording.gain_status, recording.v_H0_status) for recording in fit.recordings)
-    return status in ("scaled", "assumed") or (status == "not-identifiable" and not given)
-
-
 def felt_scale(fit: Fit) -> str:
     """Return the assumptions on which force and compression of the felt depend; empty if there are none."""
     is_mass_assumed = fit.parameters["M_S"].status == "assumed"
-    if not is_scale_open(fit):
+    if not fit.velocity_scale_open:
         return "Forces scale with the assumed mass of the string." if is_mass_assumed else ""
     text = "Forces and compressions scale with the velocities, whose common scale was not measured."
     return text + (" Forces also scale with the assumed mass of the string." if is_mass_assumed else "")
@@ -101,7 +93,7 @@ def felt_scale(fit: Fit) -> str:
 
 def _velocities(fit: Fit) -> list[str]:
     """Return how well the hammer velocities are determined; only their ratios if none was measured."""
-    if is_scale_open(fit):
+    if fit.velocity_scale_open:
         noun = "Ratios of the hammer velocities"
         ratios = (q for name, q in fit.invariants.items() if name.startswith(VELOCITY_RATIO))
         intervals = [(q.status, q.interval) for q in ratios]
@@ -116,12 +108,6 @@ def _velocities(fit: Fit) -> list[str]:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def correlations(result: Result) -> Covariance | None:
-    """Return the correlations of the estimates that all strokes share; None if the fit has no intervals."""
-    correlation = Covariance(*shared_covariance(result)).correlation
-    return correlation if result.fit.has_intervals and correlation.names else None
-
-
 def half_widths(fit: Fit) -> list[tuple[str, float, bool]]:
     """Return name, half of the 95 % interval of the logarithm, and whether it is an invariant, of each quantity."""
     rows = [(name, q.interval, True) for name, q in fit.invariants.items()]
@@ -132,8 +118,8 @@ def half_widths(fit: Fit) -> list[tuple[str, float, bool]]:
 
 def draw_identifiability(result: Result) -> list[Figure]:
     """Draw half intervals on a logarithmic scale, and the table of correlations in colours; [] without intervals."""
-    correlation, halves = correlations(result), half_widths(result.fit)
-    if correlation is None:
+    correlation, halves = result.correlation, half_widths(result.fit)
+    if correlation is None or not correlation.names:
         return []
     height = 0.32 * max(len(halves), len(correlation.names), 5)
     panels = {_draw_half_widths: halves, draw_correlations: correlation}

@@ -25,7 +25,7 @@ from .equations import equations
 from .figures import draw_attacks, draw_contact, draw_partials, draw_reference_levels, draw_spectra
 from .figures_recordings import draw_left_out, draw_paths, draw_recordings
 from .html import page_bytes, picture
-from .identifiability import draw_identifiability, felt_scale, identifiability_sections, is_scale_open
+from .identifiability import draw_identifiability, felt_scale, identifiability_sections
 from .modal_response import decay_rows, draw_envelopes, draw_spectrograms, modal_response_text
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 from .static_law import draw_felt
@@ -72,7 +72,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         text=text,
         identifiability_sections=identifiability_sections(fit),
         felt_scale=felt_scale(fit),
-        is_scale_open=is_scale_open(fit),
+        is_scale_open=fit.velocity_scale_open,
         is_power_law=text.is_power_law(fit),
         has_slow_law=law_of(hammer).slow is not None,
         equations=equations(fit, law.formula),

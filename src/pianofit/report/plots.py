@@ -13,7 +13,7 @@ from ..errors import FitError, ParameterError
 from ..result import Result
 from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
-from .identifiability import correlations, draw_correlations
+from .identifiability import draw_correlations
 from .modal_response import draw_envelope, envelopes_of
 from .static_law import draw_static_law, static_law
 
@@ -83,8 +83,8 @@ class Plots:
 
         `label` goes into the title. Raises `FitError` if the fit has no intervals, like those of the paper's recipes.
         """
-        correlation = correlations(self.result)
-        if correlation is None:
+        correlation = self.result.correlation
+        if correlation is None or not correlation.names:
             raise FitError("this fit has no intervals and therefore no correlations; use the default recipe")
         axes = drawn_on(ax, lambda axes: draw_correlations(axes, correlation), None, (6.4, 5.6))
         axes.set(xlabel="logarithm of the parameter", ylabel="logarithm of the parameter")

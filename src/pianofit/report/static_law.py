@@ -7,6 +7,7 @@ derivatives. The band of other felt laws follows from their own derivatives in t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -43,8 +44,6 @@ LAW_POINTS, LOOP_POINTS = 48, 400
 SMALLEST_REACH = 1e-12  # m, of a law, also without contact
 LARGEST_EXPONENT = 300.0  # so that exp does not overflow
 LARGEST_BAND = 1e6  # factor up to which the band of a law is drawn
-# A conditional variance below this share of the marginal variance is rounding error.
-ROUNDING = 1e-10
 LARGEST_RATIO = 10.0  # limit of the axis of the ratio; the panel of the forces shows larger differences
 LONGEST_LABEL = 28  # characters, so that both labels fit below a figure
 
@@ -64,10 +63,10 @@ class StaticLaw:
         """Return the law per mass, N/kg."""
         return StaticLaw(self.compression_mm, self.force / mass, None if self.slow is None else self.slow / mass)
 
-    @property
-    def middle(self) -> int:
-        """Index of half of the largest compression, at which two laws are compared."""
-        return len(self.compression_mm) // 2 - 1
+    def at(self, compression_mm: float) -> np.ndarray:
+        """Return the force and the ends of its band at a compression, interpolated between logarithms [3]."""
+        x, logs = np.log(self.compression_mm), np.log(np.maximum(self.force, np.finfo(float).tiny))
+        return np.exp([np.interp(math.log(compression_mm), x, log) for log in logs])
 
 
 # --- the law and its band ---------------------------------------------------------------------------------------------
@@ -78,13 +77,15 @@ def static_law(result: Result, reach: float | None = None) -> StaticLaw:
     hammer = result.note.hammer
     reach = max(largest_compression(result) if reach is None else reach, SMALLEST_REACH)
     u = reach * np.linspace(0.0, 1.0, LAW_POINTS + 1)[1:]
-    names, cov = shared_covariance(result)
-    cov = cov if result.fit.has_intervals else 0 * cov
+    scale_open, intervals = result.fit.velocity_scale_open, result.fit.has_intervals
+    shared = result.covariance.of_shared(scale_open) if intervals else None
 
     def with_band(slow: bool) -> np.ndarray:
         force, by_name = static_force(u, hammer, slow)
-        derivative = np.stack([by_name.get(name, np.zeros(len(u))) for name in names], axis=1)
-        sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", derivative, cov, derivative), 0.0))
+        if shared is None:
+            return np.stack([force] * 3)
+        derivative = np.stack([by_name.get(name, np.zeros(len(u))) for name in shared.names], axis=1)
+        sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", derivative, shared.matrix, derivative), 0.0))
         half = np.minimum(HALF_WIDTH_95 * sd, LARGEST_EXPONENT)
         return force * np.exp(np.stack([0 * half, -half, half]))
 
@@ -102,24 +103,6 @@ def largest_compression(result: Result) -> float:
     return float(np.max(fastest.strike(round(result.fit.reference.rate)).pulse.compression))
 
 
-def shared_covariance(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return names and covariance of the parameters that all strokes share.
-
-    Without a measured velocity it is conditional on the velocity of the reference recording. Otherwise the common
-    scale of the velocities, which only the prior determines, would dominate the uncertainty of the felt.
-    """
-    cov = full = result.covariance.matrix
-    names = tuple(name for name in result.covariance.names if not name.startswith("v_H0"))
-    velocity = result.parameters.get("v_H0")
-    if velocity is not None and velocity.status == "scaled":
-        fixed = len(names) + result.fit.reference.stroke
-        if cov[fixed, fixed] > 0:
-            cov = cov - np.outer(cov[fixed], cov[fixed]) / cov[fixed, fixed]
-            # Parameters that vary only with the scale are fixed now, apart from rounding errors.
-            cov = np.where(np.diag(cov) > ROUNDING * np.diag(full), cov, 0.0)
-    return names, cov[: len(names), : len(names)]
-
-
 # --- figures of one fit -----------------------------------------------------------------------------------------------
 
 
@@ -127,7 +110,17 @@ def draw_felt(result: Result) -> list[Figure]:
     """Draw the static law with its band, and the loops of force over compression of all strokes."""
     law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
     rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
-    return [make_figure(draw, law, loops, title=title, legend_rows=rows, columns=3) for title, draw in panels.items()]
+    mark = result.fit.derived.reference_compression_mm
+
+    def draw_panel(axes: Axes, draw: Any) -> None:
+        draw(axes, law, loops)
+        if law.compression_mm[0] <= mark <= law.compression_mm[-1]:
+            style = {"marker": "o", "ms": 5, "ls": "none", "color": LINES["fitted"]["color"], "zorder": 6}
+            axes.plot(mark, law.at(mark)[0], label="reference compression", **style)
+
+    return [
+        make_figure(draw_panel, draw, title=title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()
+    ]
 
 
 def draw_static_law(axes: Axes, law: StaticLaw) -> None:
@@ -188,29 +181,35 @@ def _logarithmic(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, n
 # --- two fits ---------------------------------------------------------------------------------------------------------
 
 
-def compared_laws(laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str], unit: str, kind: str) -> bytes:
+def compared_laws(
+    laws: tuple[StaticLaw, StaticLaw], marks_mm: tuple[float, float], labels: tuple[str, str], unit: str, kind: str
+) -> bytes:
     """Return the content of a file, svg, png or pdf, of both forces, and below them their ratio."""
     with page_style():
         rows = 2 * (1 + any(law.slow is not None for law in laws))
         figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
-        draw_compared_laws(force, laws, labels, unit)
+        draw_compared_laws(force, laws, marks_mm, labels, unit)
         force.set(title="Static force of the felts", xlabel="")
         _draw_ratio(ratio, laws, labels)
         legend(figure, force, 2)
         return file_of(figure, kind)
 
 
-def draw_compared_laws(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str], unit: str) -> None:
-    """Draw both static laws with 95 % bands, and an error bar at the compared compression."""
+def draw_compared_laws(
+    axes: Axes, laws: tuple[StaticLaw, StaticLaw], marks_mm: tuple[float, float], labels: tuple[str, str], unit: str
+) -> None:
+    """Draw both static laws with 95 % bands, and an error bar at the reference compression of each, `marks_mm`."""
     u = laws[0].compression_mm
-    for law, label, hue in zip(laws, _escape_labels(labels), (FITTED, INITIAL), strict=True):
+    for law, mark, label, hue in zip(laws, marks_mm, _escape_labels(labels), (FITTED, INITIAL), strict=True):
         _draw_band(axes, u, law.force, {"color": hue, "lw": 1.6, "zorder": 4}, label)
         if law.slow is not None:
             style = {"color": hue, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3}
             _draw_band(axes, u, law.slow, style, f"{label}, slow")
-        force, low, high = law.force[:, law.middle]
+        if not u[0] <= mark <= u[-1]:
+            continue
+        force, low, high = law.at(mark)
         bars = [[force - low], [high - force]]
-        axes.errorbar(u[law.middle], force, yerr=bars, fmt="o", ms=4, color=hue, lw=1.4, capsize=3, zorder=6)
+        axes.errorbar(mark, force, yerr=bars, fmt="o", ms=4, color=hue, lw=1.4, capsize=3, zorder=6)
     _, top = span(*(curve[0] for law in laws for curve in (law.force, law.slow) if curve is not None))
     highest = min(float(np.nanmax([law.force[2].max() for law in laws])), 2 * top)
     axes.set(xlabel="compression of the felt (mm)", xlim=(0.0, 1.02 * u[-1]), ylim=(0.0, 1.05 * max(highest, 1e-9)))

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from ..analysis import nearest_note
 from ..io.number_format import columns, format_with_interval
 from ..model import Simulation
 from ..result import Result
-from ..schema.fit import Recontact, RecordingFit
+from ..schema.derived import Recontact
+from ..schema.fit import RecordingFit
 from ..schema.quantities import Quantities
 from .modal_response import modal_response_line
-from .text import is_identified, recontact_text
+from .text import recontact_text
 
 
 def fit_summary(result: Result) -> str:
@@ -20,10 +20,11 @@ def fit_summary(result: Result) -> str:
     fit, several = result.fit, len(result.fit.recordings) > 1
     lines = [fit.identifiability_statement, ""] if fit.identifiability_statement else []
     # Invariants come first, because they do not depend on assumed sizes or velocities.
-    lines += [line for table in (fit.invariants, fit.parameters) for line in _quantity_lines(table)]
     derived, levels, criterion = fit.derived, fit.levels, fit.criterion
-    contact = f", {_contact(derived.contact_ms, derived.recontacts)}" * is_identified(fit, "contact_ms")
-    lines.append(f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)}), B {derived.B:.4g}{contact}")
+    tables = (fit.invariants, fit.parameters, derived.quantities)
+    lines += [line for table in tables for line in _quantity_lines(table)]
+    parts = (f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)})", f"B {derived.B:.4g}")
+    lines.append(", ".join(filter(None, (*parts, recontact_text(derived.recontacts)))))
     hammer = levels.reference_hammer_db
     only = "" if hammer is None else f", initial hammer {hammer:.2f} dB"
     where = "levels of partials" + (f" in {len(fit.recordings)} recordings" if several else "")
@@ -40,12 +41,8 @@ def fit_summary(result: Result) -> str:
 
 def contact_text(strike: Simulation) -> str:
     """Return the duration of the first contact of a simulated strike, and its recontacts."""
-    again = [Recontact(1e3 * c.start, 1e3 * (c.stop - c.start), c.force) for c in strike.contacts[1:]]
-    return _contact(1e3 * strike.contact_time, again)
-
-
-def _contact(contact_ms: float, recontacts: Sequence[Recontact]) -> str:
-    return "; ".join(filter(None, (f"contact {contact_ms:.2f} ms", recontact_text(recontacts))))
+    again = recontact_text([Recontact.of(contact) for contact in strike.contacts[1:]])
+    return "; ".join(filter(None, (f"contact {1e3 * strike.contact_time:.2f} ms", again)))
 
 
 def _quantity_lines(table: Quantities) -> list[str]:
@@ -59,7 +56,7 @@ def _quantity_lines(table: Quantities) -> list[str]:
         status = quantity.status + (f" ({unbounded})" if unbounded else "")
         if name.startswith("v/"):
             status += f"  {Path(quantity.note).name}"
-        elif name.startswith("F/"):
+        elif name in ("F/M_S", "felt_force"):
             status += f"  {quantity.note}"
         value, span = format_with_interval(quantity.value, quantity.interval)
         rows.append((name, value, "" if quantity.unit == "1" else quantity.unit, span, status))

@@ -12,8 +12,9 @@ from pathlib import PurePath
 from ..felt import LAWS
 from ..io.number_format import number, with_interval
 from ..schema.dependencies import derived_status
-from ..schema.fit import Criterion, Fit, Recontact
-from ..schema.quantities import Quantity, Status
+from ..schema.derived import Recontact
+from ..schema.fit import Criterion, Fit
+from ..schema.quantities import T60, Quantity, Status
 
 STATUS = {  # status -> mark, explanation
     "fitted": ("●", "estimated from the recording"),
@@ -35,7 +36,8 @@ SYMBOLS = {
     "x0": "x_0",
     "f0": "f_0",
 }
-SYMBOLS["x0/L"] = "x_0/L"
+SYMBOLS |= {"x0/L": "x_0/L", "contact_time": "contact time", "peak_force": "peak force", "felt_force": "felt force"}
+SYMBOLS |= {"peak_compression": "peak compression", "felt_loss": "felt loss"}
 # Bands of the criterion of Bensa et al. (2005).
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 VELOCITY_RATIO = "v/v_ref "
@@ -57,7 +59,7 @@ def _row(quantity: Quantity) -> dict[str, str]:
     is_ratio = quantity.name.startswith(VELOCITY_RATIO)
     note = PurePath(quantity.note).name if is_ratio else quantity.note
     return {
-        "name": "v/v_ref" if is_ratio else SYMBOLS.get(quantity.name, quantity.name),
+        "name": "v/v_ref" if is_ratio else symbol(quantity.name),
         "meaning": quantity.meaning,
         "value": value,
         "unit": format_unit(quantity.unit),
@@ -67,6 +69,11 @@ def _row(quantity: Quantity) -> dict[str, str]:
         "mark": STATUS[quantity.status][0],
         "note": "; ".join(filter(None, (note, _unbounded(quantity)))),
     }
+
+
+def symbol(name: str) -> str:
+    """Return the symbol of a quantity. The page sets the part after "_" as an index."""
+    return f"T_60({name.removeprefix(T60)})" if name.startswith(T60) else SYMBOLS.get(name, name)
 
 
 def format_unit(unit: str) -> str:
@@ -167,7 +174,7 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
     """List (name, number, explanation) of the figures at the top of the page."""
     levels, derived, overall, count = fit.levels, fit.derived, fit.criterion.bands["global"], len(fit.recordings)
     recordings, bend = f" in {count} recordings" if count > 1 else "", glide(fit)
-    tiles = [
+    return [
         (
             "Error of the partials’ levels",
             f"{number(levels.fitted_db, 2)} dB",
@@ -184,11 +191,8 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
             f"{number(derived.f0, 5)} Hz",
             f"inharmonicity B = {number(derived.B, 3)}" + (f"; pitch {bend} as the note decays" if bend else ""),
         ),
+        *_contact_tile(fit),
     ]
-    if not is_identified(fit, "contact_ms"):
-        return tiles
-    explanation = "; ".join(filter(None, (_forces(fit), recontact_text(derived.recontacts))))
-    return [*tiles, ("Hammer contact", f"{number(derived.contact_ms, 3)} ms", explanation)]
 
 
 def is_identified(fit: Fit, name: str) -> bool:
@@ -198,13 +202,25 @@ def is_identified(fit: Fit, name: str) -> bool:
     return derived_status(name, states) not in ("not-identifiable", "at-bound")
 
 
-def _forces(fit: Fit) -> str:
-    """Return the largest force and compression, as far as they are identified."""
-    shown = {
-        "max_force_N": f"largest force {number(fit.derived.max_force_N, 3)} N",
-        "max_compression_mm": f"largest compression {number(fit.derived.max_compression_mm, 3)} mm",
-    }
-    return ", ".join(text for name, text in shown.items() if is_identified(fit, name))
+def _contact_tile(fit: Fit) -> list[tuple[str, str, str]]:
+    """Return the tile of the contact. A value that is not identifiable is left out of the headline."""
+    table, names = fit.derived.quantities, {"peak_force": "largest force", "peak_compression": "largest compression"}
+    if "contact_time" not in table:
+        return []
+    time, span = with_interval(table["contact_time"].value, table["contact_time"].interval)
+    known = table["contact_time"].status != "not-identifiable"
+    parts = [f"{span} ms" if known and span else "" if known else f"one possibility is {time} ms"]
+    parts += [f"{words} {_with_status(table[name])}" for name, words in names.items()]
+    parts.append(recontact_text(fit.derived.recontacts))
+    return [("Hammer contact", f"{time} ms" if known else "not identifiable", "; ".join(filter(None, parts)))]
+
+
+def _with_status(quantity: Quantity) -> str:
+    """Return the value with its unit and interval, or that it is not identifiable."""
+    if quantity.status == "not-identifiable":
+        return "not identifiable"
+    value, span = with_interval(quantity.value, quantity.interval)
+    return f"{value} {quantity.unit}" + (f" ({span})" if span else "")
 
 
 def recontact_text(contacts: Sequence[Recontact]) -> str:

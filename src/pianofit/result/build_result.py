@@ -3,38 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..analysis import cents_above
-from ..felt import law_of
+from ..conversions import midi_of
 from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
+from ..literature import reference_compression
 from ..model.note import Note
 from ..schema.decode import convert
+from ..schema.derived import Derived, GlideWindow, Recontact
 from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
 from ..schema.fit import (
-    Derived,
     Fit,
-    GlideWindow,
     Minimum,
     PartialLevels,
     PathEntry,
     Pickup,
-    Recontact,
     RecordingFit,
     VelocityDiscrepancyEntry,
     package_versions,
 )
-from ..schema.quantities import Covariance, Quantity
+from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
+from .derived_table import derived_quantities, with_force_interval
 from .draws import Draws
 from .estimates import invariants, parameters, stroke_velocities
 from .fitted_recording import FittedRecording
 from .notes import notes_of
 from .result import Result
-from .statement import identifiability_statement, strong_correlations
+from .statement import covariance_of, identifiability_statement, strong_correlations
 from .statuses import statuses
 from .warnings import fit_warnings
 
@@ -71,7 +72,6 @@ def build_result(fit: InferenceResult) -> Result:
         recordings=records,
         pickup=pickup_of(problem.initial_values.quantity, recordings, records),
         minima=_minima(fit, notes),
-        covariance=_covariance(fit),
         derived=derived_of(reference),
         criterion=reference.criterion,
         levels=levels,
@@ -79,7 +79,14 @@ def build_result(fit: InferenceResult) -> Result:
         versions=package_versions(),
     )
     draws = None if fit.alternative is None or fit.alternative.draws is None else _draws(fit, record, fit.alternative)
-    return Result(record, recordings, notes, draws)
+    return with_derived(Result(record, recordings, notes, draws))
+
+
+def with_derived(result: Result) -> Result:
+    """Return a result with its derived quantities, and with the same draws for the interval of the felt force."""
+    fit, draws = result.fit, result.draw_set
+    derived = replace(fit.derived, quantities=derived_quantities(draws))
+    return replace(result, fit=replace(fit, derived=derived, invariants=with_force_interval(draws)))
 
 
 def _records(
@@ -115,6 +122,7 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
                 velocities=np.exp(minima.candidates.theta[b, u.velocities]),
                 path_db=None if path is None else path.db,
                 path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
+                covariance=covariance_of(fit, b),
             )
         )
     return tuple(records)
@@ -142,12 +150,6 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
         profile=convert(other["profile"], dict[str, ProfileCurve], *where) if "profile" in other else None,
         posterior=convert(other["posterior"], PosteriorDiagnostics, *where) if "posterior" in other else None,
     )
-
-
-def _covariance(fit: InferenceResult) -> Covariance:
-    """Covariance of the logarithms of the parameters and velocities, by name."""
-    names = fit.problem.parameter_indices
-    return Covariance(tuple(names), fit.posterior.covariance[0][np.ix_([*names.values()], [*names.values()])])
 
 
 def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
@@ -225,18 +227,14 @@ def pickup_of(quantity: str, recordings: Sequence[FittedRecording], records: Seq
 
 
 def derived_of(fitted: FittedRecording) -> Derived:
-    """Quantities computed from the parameters and from the simulated stroke."""
+    """Facts that follow from the parameters and from the simulated stroke."""
     note, simulation, analysis = fitted.fitted.note, fitted.fitted.simulation, fitted.analysis
-    compression = float(simulation.pulse.compression.max())
     return Derived(
         f0=float(note.f0),
         B=float(note.B),
         f1=float(note.f0 * np.sqrt(1 + note.B)),
-        contact_ms=1e3 * simulation.contact_time,
+        reference_compression_mm=1e3 * reference_compression(midi_of(note.f0)),
         recontacts=tuple(map(Recontact.of, simulation.contacts[1:])),
-        max_force_N=float(simulation.pulse.force.max()),
-        max_compression_mm=1e3 * compression,
-        felt_force_N=float(law_of(note.hammer).force(compression, 0.0, note.hammer)),
         glide_cents=float(analysis.glide_cents),
         glide=tuple(GlideWindow(*window) for window in analysis.glide),
     )

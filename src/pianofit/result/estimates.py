@@ -12,6 +12,7 @@ from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interva
 from ..parameters import FIT_NAMES
 from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
+from .statement import felt_force_name
 from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
@@ -165,7 +166,9 @@ def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction:
     """The static felt force at the reference compression over the string mass."""
     problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
     stiffness, p = u.force_and_exponent_index or (0, 0)
-    note = f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
+    force = float(np.exp(z[stiffness]))
+    size = "assumed" if "mass" in problem.initial_values.assumed else "given"
+    note = f"{felt_force_name(u)}, {force:.3g} N with the {size} string mass"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
     # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
     felt: dict[str, Status] = {}
@@ -173,7 +176,7 @@ def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction:
         felt[FELT] = "not-identifiable"
     elif "at-bound" in (states[u.names[stiffness]], states[u.names[p]]):
         felt[FELT] = "at-bound"
-    value = float(np.exp(z[stiffness])) / problem.initial_values.geometry.mass  # θ belongs to the given mass
+    value = force / problem.initial_values.geometry.mass  # θ belongs to the given mass
     quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", felt, note)
     is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
     return replace(quantity, status="scaled") if is_scaled else quantity

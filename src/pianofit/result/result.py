@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -22,6 +22,7 @@ from ..schema.decode import builtins_of
 from ..schema.fit import Fit, fit_path, read_fit
 from ..schema.notes import notes_of_minima, notes_of_recordings
 from ..schema.quantities import Covariance, Quantities
+from .derived import DerivedQuantity, DrawSet, ModelDraw
 from .draws import DRAWS_FILE, Draws, read_draws
 from .fitted_recording import FittedRecording, RenderedFit
 from .prediction import Prediction, predict_recording
@@ -40,8 +41,8 @@ class Result:
 
     `fit` has all that the fit reports, as in `fit.json`. `recordings` are in the order in which they were given. A
     loaded result has none until `with_recordings` reads them; plots, `save` and `report` do this when needed.
-    `minima_notes` has a note for each minimum and recording [minima][recordings]. `draws` are posterior draws [chains,
-    draws] by name, if the fit computed them. `folder` is the folder that the result was loaded from.
+    `minima_notes` has a note for each [minima][recordings]. `draws` are posterior draws [chains, draws] by name, if the
+    fit computed them. `folder` is the folder that the result was loaded from.
     """
 
     fit: Fit
@@ -88,9 +89,7 @@ class Result:
     @property
     def mixture(self) -> list[tuple[float, Note]]:
         """Pairs of posterior weight and note for all minima, the best first, as `predict_recording` takes them."""
-        return [
-            (weight, notes[self.reference_index]) for weight, notes in zip(self.weights, self.minima_notes, strict=True)
-        ]
+        return [*zip(self.weights, (notes[self.reference_index] for notes in self.minima_notes), strict=True)]
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -109,6 +108,12 @@ class Result:
         if self.fit.covariance is None:
             raise FitError("covariance: this fit.json has none; fit the recordings again")
         return self.fit.covariance
+
+    @property
+    def correlation(self) -> Covariance | None:
+        """Correlations of log(value) of all parameters but velocities, at the reference velocity if none is known."""
+        intervals, scale_open = self.fit.has_intervals, self.fit.velocity_scale_open
+        return self.covariance.of_shared(scale_open).normalised if intervals else None
 
     @property
     def reference(self) -> FittedRecording:
@@ -173,6 +178,52 @@ class Result:
         """Analysis of the reference recording."""
         return self.reference.analysis
 
+    @property
+    def derived_quantities(self) -> Quantities:
+        """Contact time, forces, energy lost in the felt and T60, with intervals from draws of the posterior."""
+        return self.fit.derived.quantities
+
+    def derived(self, function: Callable[[ModelDraw], float], *, at_reference_velocity: bool = True) -> DerivedQuantity:
+        """Compute any quantity with its 95 % interval, from joint draws of the posterior over all minima.
+
+        Parameters
+        ----------
+        function : takes a `ModelDraw` and returns one number. A draw has `values` by name, the `note`, its simulated
+            `stroke`, `felt_force(u)`, N, at any compression u, m, and `t60(k)`, s, of any partial k.
+        at_reference_velocity : without a measured velocity, draws hold at the reference velocity shown, as F/M_S does.
+            False includes the unknown common scale of the velocities, as the interval of K_H does.
+
+        Returns
+        -------
+        A `DerivedQuantity`: value at the best minimum, interval, status, draws [draws]; the same after loading.
+
+        Raises
+        ------
+        ParameterError
+            If the function does not return one number.
+        FitError
+            If a value is not finite.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves:
+
+        >>> import pianofit
+        >>> contact = pianofit.Result.load("fit").derived(lambda draw: 1e3 * draw.stroke.contact_time)  # ms
+        >>> contact.interval[0] < contact.value < contact.interval[1], contact.draws.shape
+        (True, (256,))
+        """
+        found = self.draw_set.evaluate(function)
+        if at_reference_velocity:
+            return found
+        return replace(replace(self.draw_set, at_reference_velocity=False).evaluate(function), status=found.status)
+
+    @cached_property
+    def draw_set(self) -> DrawSet:
+        """Draws of the posterior for `derived`."""
+        stroke = self.recordings[self.reference_index].fitted.simulation if self.recordings else None
+        return DrawSet(self.fit, self.note, stroke, self.draws)
+
     def predict(self, recording: Analysis | Source, gains: Sequence[float] | None = None) -> Prediction:
         """Predict a recording that took no part in the fit. Only its velocity, gain and pitch are fitted.
 
@@ -211,22 +262,25 @@ class Result:
 
     def __repr__(self) -> str:
         count, statement = len(self.fit.recordings), self.identifiability_statement
-        state = "converged" if self.fit.converged else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
+        state = "converged" if self.fit.converged else "NOT CONVERGED"
         lines = [f"Result of {counted(count, 'recording')}, {self.fit.recipe} recipe, {state}", short]
-        tables = (self.invariants, self.parameters)
-        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in tables]
+        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in self._tables]
         return "\n".join(line for line in lines if line)
 
     def __str__(self) -> str:
-        return "\n\n".join(filter(None, [self.identifiability_statement, str(self.invariants), str(self.parameters)]))
+        return "\n\n".join(filter(None, [self.identifiability_statement, *map(str, self._tables)]))
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
         return (
-            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>{self.invariants._repr_html_()}"
-            f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
+            f"<p><strong>{escape(self.identifiability_statement)}</strong></p>"
+            f"{''.join(table._repr_html_() for table in self._tables)}<ul>{notes}</ul>"
         )
+
+    @property
+    def _tables(self) -> tuple[Quantities, ...]:
+        return self.invariants, self.parameters, self.derived_quantities
 
     def summary(self) -> str:
         """Statement, quantities with intervals, errors and warnings, as `pianofit fit` prints them."""
@@ -259,11 +313,10 @@ class Result:
     def to_arviz(self) -> Any:
         """The posterior draws as a tree of ArviZ 1.x (an `xarray.DataTree`).
 
-        The group "posterior" has the parameters, the velocities of all strokes and the invariants, "M_H over M_S" for
-        M_H/M_S. "observed_data" has levels and bounds of censored partials, dB, and frequencies (cents) and decay rates
-        (logarithms) relative to the string model. "constant_data" has the recording and the partial of each
-        observation. "log_likelihood" has the log density of each observation given all others, for ArviZ's `loo` and
-        `compare`.
+        "posterior" has the parameters, the velocities of all strokes and the invariants, "M_H over M_S" for M_H/M_S.
+        "observed_data" has levels and bounds of censored partials, dB, frequencies (cents) and decay rates (logarithms)
+        relative to the string model, "constant_data" the recording and partial of each observation. "log_likelihood"
+        has the log density of each observation given all others, for ArviZ's `loo` and `compare`.
 
         Raises
         ------
@@ -301,8 +354,8 @@ class Result:
 
         Parameters
         ----------
-        title : title of the page; the names of the recordings and the note if None.
-        held_out : cross-validation of the same recordings, to be shown with the fit.
+        title : title of the page; names of recordings and note if None.
+        held_out : cross-validation of the same recordings, to be shown too.
 
         Raises
         ------

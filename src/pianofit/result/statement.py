@@ -8,9 +8,10 @@ import numpy as np
 
 from ..conversions import HALF_WIDTH_95
 from ..inference import InferenceResult
+from ..inference.parametrisation import Parametrisation
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..schema.fit import LevelErrors
-from ..schema.quantities import Status
+from ..schema.quantities import Covariance, Status
 from .statuses import (
     FELT_EXCESS_DB,
     HAMMER_EXCESS_DB,
@@ -112,31 +113,41 @@ def _listed(*names: str) -> str:
 
 
 def strong_correlations(fit: InferenceResult) -> list[tuple[str, str, float]]:
-    """Pairs of parameters that the recordings do not distinguish, with their correlation."""
-    names, cov = fit.problem.parametrisation.names, fit.posterior.covariance[0]
-    sd = np.sqrt(np.diag(cov))
+    """Pairs of parameters that the recordings do not distinguish, with their correlation as in `Result.correlation`."""
+    correlation = covariance_of(fit).of_shared(fit.problem.velocity_scale_free).normalised
+    names, r = correlation.names, correlation.matrix
     return [
-        (names[j], names[i], float(r))
+        (names[j], names[i], float(r[i, j]))
         for i in range(len(names))
         for j in range(i)
-        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG_CORRELATION
+        if abs(r[i, j]) > STRONG_CORRELATION
     ]
 
 
-def best_combination(fit: InferenceResult, a: str, b: str) -> str:
-    """The best-determined combination of two correlated parameters, with its uncertainty.
+def covariance_of(fit: InferenceResult, minimum: int = 0) -> Covariance:
+    """Covariance of the logarithms of the parameters and velocities at a minimum, by name."""
+    names = fit.problem.parameter_indices
+    return Covariance(tuple(names), fit.posterior.covariance[minimum][np.ix_([*names.values()], [*names.values()])])
 
-    log a − s log b has the least variance at s = cov(a, b)/var(b). For K_H and p the combination is the static force
-    K_H u^p at the compression u of least variance: d log(K_H u^p) = d log K_H + log(u) p d log p.
+
+def best_combination(fit: InferenceResult, a: str, b: str) -> str:
+    """A well-determined combination of two correlated parameters, with its uncertainty.
+
+    That of K_H and p is the felt force at the reference compression. log a − s log b of two others has the least
+    variance at s = cov(a, b)/var(b).
     """
-    u = fit.problem.parametrisation
+    u, posterior = fit.problem.parametrisation, fit.gauge_fixed
     i, j = u.index_of(a), u.index_of(b)
-    cov, mean = fit.posterior.covariance[0], fit.posterior.mean[0]
+    if (a, b) == u.law.power:
+        force = float(np.exp(fit.estimate.theta[i]))
+        half = HALF_WIDTH_95 * posterior.sd(u.force_direction(fit.estimate.theta))
+        return f"the {felt_force_name(u)}, {with_half_interval(force, half, 'N')}"
+    cov = posterior.covariance[0]
     slope = cov[i, j] / cov[j, j]
     half = HALF_WIDTH_95 * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
-    if (a, b) == u.law.power:
-        p = float(np.exp(mean[j]))
-        compression = float(np.exp(-slope / p))
-        force = with_half_interval(float(np.exp(mean[i]) * compression**p), half, "N")
-        return f"the static felt force at {1e3 * compression:.4g} mm, {a} u^{b} = {force}"
     return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
+
+
+def felt_force_name(u: Parametrisation) -> str:
+    """The name of the force that a fit searches, with its compression."""
+    return f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"

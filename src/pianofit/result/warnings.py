@@ -14,7 +14,7 @@ from ..inference import FitProblem, InferenceResult, priors
 from ..io.files import printable
 from ..recording.recording import Recording
 from ..schema.quantities import Status, unit_of
-from .statement import best_combination, strong_correlations
+from .statement import best_combination, felt_force_name, strong_correlations
 from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, velocity_statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
@@ -165,7 +165,7 @@ def _mixture_warning(fit: InferenceResult) -> list[str]:
     difference = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
     largest = int(np.argmax(difference[: u.shared]))
     is_force = bool(u.force_and_exponent_index) and largest == u.force_and_exponent_index[0]
-    name = f"the felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm" if is_force else u.names[largest]
+    name = f"the {felt_force_name(u)}" if is_force else u.names[largest]
     unit = "N" if is_force else unit_of(u.names[largest], u.law)
     shown, second = np.exp(z[[0, other], largest])
     note = {

@@ -8,7 +8,7 @@ these parts and quantities. A quantity is identified only if everything that it 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from .quantities import Status
 
@@ -28,16 +28,11 @@ STANDS_ON: dict[str, tuple[str, ...]] = {
     "x0/L": ("x0",),
     "F/M_S": (FELT,),
     "v/v_ref": ("v_H0",),
-    # Computed from a stroke.
-    "contact_ms": ("M_H",),
-    "max_force_N": ("M_H", "v_H0"),
-    "max_compression_mm": ("F/M_S", "M_H", "v_H0"),
-    "felt_force_N": ("F/M_S", "M_H", "v_H0"),
     # The comparison of the fitted hammer with the initial one.
     "hammer": ("F/M_S", "M_H"),
 }
 # Quantities that do not change with an assumed length or mass, or with the common scale of the velocities.
-INVARIANT = {"f0", "B", "M_H/M_S", "x0/L", "v/v_ref", "contact_ms", "hammer"}
+INVARIANT = {"f0", "B", "M_H/M_S", "x0/L", "v/v_ref", "hammer"}
 # A quantity whose standard deviation of log(value) exceeds this, a factor of two, is not identifiable.
 MAX_LOG_SD = 0.7
 
@@ -60,13 +55,23 @@ def derived_status(name: str, states: Mapping[str, Status], log_sd: float = 0.0)
     log_sd : standard deviation of the logarithm of the quantity by the joint posterior; 0 if it is not known.
     """
     below = [states[other] for other in foundations(name) if other in states]
+    status = combined_status(below, log_sd)
+    is_scaled = name.partition(" ")[0] not in INVARIANT and {"scaled", "assumed"} & {*below}
+    return "scaled" if status == "fitted" and is_scaled else status
+
+
+def combined_status(below: Sequence[Status], log_sd: float) -> Status:
+    """Return the status of a quantity from those of all that it stands on and its own width.
+
+    Parameters
+    ----------
+    log_sd : standard deviation of the logarithm of the quantity; 0 if it is not known or nothing was fitted.
+    """
     for state in ("not-identifiable", "at-bound"):
         if state in below:
             return state
     if log_sd > MAX_LOG_SD:
         return "not-identifiable"
-    if name.partition(" ")[0] not in INVARIANT and {"scaled", "assumed"} & {*below}:
-        return "scaled"
-    if below and all(state in ("given", "assumed") for state in below) and not log_sd:
+    if not log_sd and all(state in ("given", "assumed") for state in below):
         return "assumed" if "assumed" in below else "given"
     return "fitted"

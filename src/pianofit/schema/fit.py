@@ -23,13 +23,13 @@ from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
 from ..io.files import path_name, printable, replace_paths
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from ..model.simulate import Contact
 from .decode import Number, convert, load_json
+from .derived import Derived
 from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
 
-FIT_SCHEMA = 5
+FIT_SCHEMA = 6
 # Largest fit.json, bytes.
 LARGEST_FIT = 2**24
 # Largest number of points of an output path, far more than a string has partials.
@@ -203,45 +203,7 @@ class Minimum:
     velocities: np.ndarray  # m/s [strokes]
     path_db: np.ndarray | None  # at the frequencies of `Pickup.path`
     path_velocity_discrepancy: VelocityDiscrepancyEntry | None
-
-
-@dataclass(frozen=True)
-class Recontact:
-    """A contact of hammer and string after the first."""
-
-    start_ms: Number  # after the first contact
-    duration_ms: Number
-    max_force_N: Number
-
-    @classmethod
-    def of(cls, contact: Contact) -> Recontact:
-        """Return the entry of a contact of a simulation."""
-        return cls(1e3 * contact.start, 1e3 * (contact.stop - contact.start), contact.force)
-
-
-@dataclass(frozen=True)
-class GlideWindow:
-    """Pitch in a window of time."""
-
-    start_s: Number
-    stop_s: Number
-    f0: Number  # Hz
-
-
-@dataclass(frozen=True)
-class Derived:
-    """Quantities computed from the parameters and the stroke of the reference recording."""
-
-    f0: Number  # Hz
-    B: Number
-    f1: Number  # first partial, Hz
-    contact_ms: Number
-    recontacts: tuple[Recontact, ...]
-    max_force_N: Number
-    max_compression_mm: Number
-    felt_force_N: Number  # static force at the largest compression
-    glide_cents: Number
-    glide: tuple[GlideWindow, ...]
+    covariance: Covariance | None = None  # of the logarithms of the parameters and velocities
 
 
 @dataclass(frozen=True)
@@ -288,7 +250,6 @@ class Fit(NoteFile):
     parameters: Quantities
     recordings: tuple[RecordingFit, ...]  # in the order given
     minima: tuple[Minimum, ...]  # by posterior weight; the paper's methods have none
-    covariance: Covariance | None = None  # of the logarithms at the best minimum
     derived: Derived
     criterion: Criterion  # of the reference recording
     levels: LevelErrors  # of all recordings
@@ -312,6 +273,16 @@ class Fit(NoteFile):
         """Indices of the recordings by path group."""
         numbers = sorted({recording.path_group for recording in self.recordings})
         return {n: [i for i, r in enumerate(self.recordings) if r.path_group == n] for n in numbers}
+
+    @property
+    def covariance(self) -> Covariance | None:
+        """Covariance of the logarithms at the best minimum; None without minima."""
+        return self.minima[0].covariance if self.minima else None
+
+    @property
+    def velocity_scale_open(self) -> bool:
+        """True if one common factor of the velocities is unknown: neither a velocity nor the gain was given."""
+        return not any("given" in (own.gain_status, own.v_H0_status) for own in self.recordings)
 
     @property
     def has_intervals(self) -> bool:

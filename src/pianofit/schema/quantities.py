@@ -38,11 +38,20 @@ MEANINGS = (
         "M_H/M_S": "hammer mass over string mass",
         "x0/L": "strike position over string length",
         "F/M_S": "static felt force at the reference compression, over the string mass",
+        "felt_force": "static felt force at the reference compression",
+        "contact_time": "duration of the first contact",
+        "peak_force": "largest force of the hammer",
+        "peak_compression": "largest compression of the felt",
+        "felt_loss": "energy lost in the felt over the energy of the hammer",
     }
 )
+# Beginning of the name of the T60 of a partial, before its number.
+T60 = "T60_"
 # Largest distance of a value from the middle of its interval, relative to half of the interval, for which a standard
 # uncertainty is stated. A Gaussian of the logarithm reaches it at a standard deviation of 10 %.
 MAX_ASYMMETRY = 0.1
+# A conditional variance below this share of the marginal variance is rounding error.
+ROUNDING = 1e-10
 COLUMNS = ("name", "value", "low", "high", "unit", "status", "meaning", "note")
 TABLE_HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
 
@@ -218,8 +227,11 @@ def meaning_of(name: str, law: FeltLaw | None = None) -> str:
     """Return the meaning of a quantity; empty for a parameter of a felt law that is unknown here."""
     if law is not None and name in law.parameters:
         return law.parameters[name].meaning
-    is_ratio = name.startswith("v/v_ref")
-    return "velocity of a stroke over that of the reference" if is_ratio else MEANINGS.get(name, "")
+    if name.startswith("v/v_ref"):
+        return "velocity of a stroke over that of the reference"
+    if name.startswith(T60):
+        return f"time in which partial {name.removeprefix(T60)} falls by 60 dB in the string model"
+    return MEANINGS.get(name, "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,9 +255,27 @@ class Covariance:
     def __repr__(self) -> str:
         return f"Covariance of log {', '.join(self.names)}"
 
+    def of_shared(self, scale_open: bool) -> Covariance:
+        """Return the covariance of the parameters that all strokes share.
+
+        Parameters
+        ----------
+        scale_open : True if the common scale of the velocities is unknown. The covariance is then conditional on the
+            velocity of the reference recording. Otherwise the scale, which only the prior determines, would dominate.
+        """
+        cov = self.matrix
+        if scale_open and "v_H0" in self.names and self["v_H0", "v_H0"] > 0:
+            fixed = self.names.index("v_H0")
+            cov = cov - np.outer(cov[fixed], cov[fixed]) / cov[fixed, fixed]
+            # Parameters that vary only with the scale are fixed now, apart from rounding errors.
+            varies = np.diag(cov) > ROUNDING * np.diag(self.matrix)
+            cov = np.where(varies[:, None] & varies, cov, 0.0)
+        shared = [i for i, name in enumerate(self.names) if not name.startswith("v_H0")]
+        return Covariance(tuple(self.names[i] for i in shared), cov[np.ix_(shared, shared)])
+
     @property
-    def correlation(self) -> Covariance:
-        """Correlations of the fitted values [fitted, fitted]."""
+    def normalised(self) -> Covariance:
+        """Correlations of the values that vary [varying, varying]; for those of a fit see `Result.correlation`."""
         free = np.flatnonzero(np.diag(self.matrix) > 0)
         sd = np.sqrt(np.diag(self.matrix)[free])
         matrix = np.clip(self.matrix[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)

@@ -17,7 +17,7 @@ from ..analysis.note_names import midi_to_note
 from ..dsp.filters import resample
 from ..errors import ParameterError
 from ..instrument import Instrument
-from ..instrument.key_quantities import reference_compression
+from ..literature import reference_compression
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
@@ -29,7 +29,7 @@ SCALE_BLOCK = 256
 # Significant digits of values and intervals, which are only displayed.
 DIGITS = 6
 # Sliders of the page that multiply the value of one keyboard law, and the laws of losses.
-SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
+SLIDERS = {"force": "F/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
 LOSSES = ("b1", "d2")
 
 

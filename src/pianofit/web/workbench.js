@@ -14,6 +14,15 @@ const STEPS = 100; // of a slider in each direction
 
 const byId = (id) => document.getElementById(id);
 
+/** What the label of a slider adds to its words and to its value, from the key. */
+const ADDED = {
+  force: ({ hammer, compression, geometry }) => ({
+    words: ` (${shortened(1e3 * compression)} mm)`,
+    value: `, ${shortened((hammer.K_H * compression ** hammer.p) / geometry.mass)} N/kg`,
+  }),
+};
+const shortened = (x) => Number(x.toPrecision(3));
+
 /** The displayed value of each slider, from the key. */
 const SHOWN = {
   force: ({ hammer, compression }) => hammer.K_H * compression ** hammer.p,
@@ -42,7 +51,7 @@ class Workbench {
 
   _slider({ name, words, from, to }) {
     const label = put(this.root.querySelector(".sliders"), "label");
-    put(label, "span", { textContent: words });
+    const title = put(label, "span", { textContent: words });
     const value = put(label, "output"), track = put(label, "span", { className: "track" }), interval = put(label, "small");
     const band = put(track, "i"), id = `change-${name}`;
     const input = put(track, "input", { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id });
@@ -51,7 +60,7 @@ class Workbench {
     input.addEventListener("input", () => this._move(name, scale(Number(input.value))));
     input.addEventListener("change", () => (this.begun = false));
     const back = (x) => (from < 0 ? x / to : Math.log(x) / Math.log(to)) * STEPS;
-    return { input, value, back, band, interval };
+    return { input, title, value, back, band, interval };
   }
 
   /** Show the 95 % interval of the key: a band on the slider, clipped at its ends, and numbers. */
@@ -133,9 +142,10 @@ class Workbench {
     this.root.hidden = false;
     byId("which").textContent = name;
     const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
-    for (const { name: slider, unit } of SLIDERS) {
-      const { input, value, back } = this.inputs.get(slider);
-      value.textContent = `${Number(SHOWN[slider](key).toPrecision(3))} ${unit}`.trim();
+    for (const { name: slider, unit, words } of SLIDERS) {
+      const { input, title, value, back } = this.inputs.get(slider), added = ADDED[slider]?.(key);
+      title.textContent = words + (added?.words ?? "");
+      value.textContent = `${shortened(SHOWN[slider](key))} ${unit}`.trim() + (added?.value ?? "");
       input.value = Math.round(back(changes[slider]));
       this._interval(slider, unit);
       input.setAttribute("aria-valuetext", value.textContent);

@@ -1,0 +1,82 @@
+"""Many strokes in one compiled program, each with its own string, hammer and geometry.
+
+Steps and modes are those of one stroke that is simulated first, so all strokes share a program. Each stops once its own
+contact is proven over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..felt import FeltLaw, law_of
+from ..parameters import Geometry, String
+from .contact import Pulse, strike_until_over
+from .modes import Modes, mode_table
+from .note import Note
+from .program_cache import persistent_jit
+from .simulate import Simulation
+
+# Strokes of one call. Larger batches wait for their longest contact.
+BATCH_SIZE = 16
+# Stored steps over those of the first stroke, and their multiple, so that keys share programs.
+MARGIN, STEPS = 2.0, 1024
+
+
+class StrokesConfig(NamedTuple):
+    """Static arguments of `strokes`."""
+
+    n_modes: int
+    steps: int  # stored
+    quantity: str
+    law: FeltLaw
+
+
+@persistent_jit
+def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
+    """Leaves of the tables of modes and of the pulses [strokes, ...], and computed steps [strokes].
+
+    Parameters
+    ----------
+    strings, hammers, geometries : fields in their order [strokes, fields].
+    rate : of the contact, Hz.
+    """
+
+    def one(string, hammer, geometry):
+        table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
+        modes = mode_table(String(*string), Geometry(*geometry), **table)
+        pulse, steps = strike_until_over(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, stored=cfg.steps)
+        return (*modes, *pulse, steps)
+
+    return jax.vmap(one)(strings, hammers, geometries)
+
+
+def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrokesConfig]:
+    """Return arguments of `strokes` for notes that differ only in their parameters: arrays, rate, configuration.
+
+    Parameters
+    ----------
+    first : stroke of one of the notes.
+    """
+    parts = (
+        np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry")
+    )
+    modes, step = len(first.modes.pole), float(first.modes.step)
+    steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
+    return tuple(parts), np.float64(1 / step), StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+
+
+def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
+    """Return every stroke from the result of `strokes`. The pulse of an unfinished contact says so."""
+    *arrays, steps = leaves
+    tables, pulses = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
+
+    def one(i: int) -> Simulation:
+        table: Any = (x[i] for x in tables)
+        pulse: Any = (x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses)
+        return Simulation(Modes(*table), Pulse(*pulse), None)
+
+    return [one(i) for i in range(len(steps))]

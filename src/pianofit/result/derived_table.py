@@ -1,0 +1,59 @@
+"""The derived quantities that every fit reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from ..schema.fit import Fit
+from ..schema.quantities import T60, Quantities, Quantity, meaning_of
+from .derived import DrawSet, ModelDraw
+
+# Unit and function by name. Forces hold at the reference compression of the key.
+STROKE: dict[str, tuple[str, Callable[[ModelDraw], float]]] = {
+    "contact_time": ("ms", lambda draw: 1e3 * draw.stroke.contact_time),
+    "peak_force": ("N", lambda draw: float(draw.stroke.pulse.force.max())),
+    "peak_compression": ("mm", lambda draw: 1e3 * float(draw.stroke.pulse.compression.max())),
+    "felt_loss": ("1", lambda draw: draw.felt_loss),
+}
+
+
+def derived_quantities(draws: DrawSet) -> Quantities:
+    """Return the derived quantities of a fit with intervals and statuses.
+
+    They are contact time, largest force and compression of the reference stroke, the felt force at the reference
+    compression, the energy lost in the felt, and T60 of the partials 1, 2, 4 and so on up to the highest detected one.
+    """
+    fit = draws.fit
+    u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
+    table = STROKE | {"felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u))}
+    table |= {f"{T60}{k}": ("s", partial(_t60, k)) for k in _octaves(fit)}
+
+    def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
+        found = draws.evaluate(function)
+        note = "; ".join(filter(None, (f"at {u:.3g} mm" * (name == "felt_force"), found.note)))
+        own = None if found.interval is None else method
+        return Quantity(name, found.value, unit, found.interval, found.status, meaning_of(name), note, None, own)
+
+    return Quantities.of(quantity(name, *entry) for name, entry in table.items())
+
+
+def with_force_interval(draws: DrawSet) -> Quantities:
+    """Return the invariants with the interval of F/M_S from the draws, so that F and F/M_S have one uncertainty."""
+    invariants, u = draws.fit.invariants, 1e-3 * draws.fit.derived.reference_compression_mm
+    own = invariants.get("F/M_S")
+    if own is None or own.interval is None:
+        return invariants
+    found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
+    return Quantities.of([*({**invariants, "F/M_S": replace(own, interval=found.interval)}).values()])
+
+
+def _t60(partial: int, draw: ModelDraw) -> float:
+    return draw.t60(partial)
+
+
+def _octaves(fit: Fit) -> list[int]:
+    """Return the partials 1, 2, 4 and so on; the law is smooth in between."""
+    last = int(fit.reference.partials.number.max())
+    return [2**i for i in range(last.bit_length())]
