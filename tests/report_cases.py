@@ -97,7 +97,7 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
     note = Note(
         String(2 * f0, 2 * f0 * np.sqrt(B) / np.pi, 0.6, 0.004 / np.pi**2),
         Hammer(5.2e9, 0.2, 2.56, 5.687e-3, velocity), Geometry(1.0, 0.00618, 0.12, 0.02, 0.5), "bridge-force", 0.0123,
-        OutputPath(frequency, 3 * np.sin(k / 9), np.ones(count)) if path else None,
+        OutputPath(frequency, 3 * np.sin(k / 9)) if path else None,
     )  # fmt: skip
     random, square = np.random.default_rng(5), np.zeros((count, count))
     cents = random.normal(0, 0.6, count)
@@ -192,7 +192,7 @@ def example_content() -> dict[str, Any]:
     k = np.arange(1, COUNT + 1)
     path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
     return {
-        "schema": 5, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 6, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "One uncalibrated recording does not determine the felt. A smooth unknown output "
         "path with a hammer from the literature explains these levels as well.",

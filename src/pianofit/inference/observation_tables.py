@@ -188,7 +188,8 @@ def _string_tables(
         systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
         pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
         systematic = t.decay_systematic / np.outer(decay, decay)
-        loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
+        ratio = np.maximum(t.decay / decay, priors.LEAST_DECAY_RATIO)
+        loss.append((t.number, np.log(ratio), t.decay_error / (ratio * decay), systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
     glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (

@@ -16,7 +16,6 @@ from ..inference import (
     InferenceResult,
     LatentPosterior,
     Minima,
-    select_partials,
     string_law,
 )
 from ..inference.batched_model import DB
@@ -56,8 +55,7 @@ def notes_of(fit: InferenceResult, which: int) -> list[Note]:
 def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: LatentPosterior) -> OutputPath:
     """Posterior mean of a group's output path, dB, at its detected partials.
 
-    Decay rates are relative to the string model. Frequencies are those of the string model, since
-    partials are identified by number.
+    Frequencies are those of the string model, since partials are identified by number.
     """
     observed, candidates = problem.observed, minima.candidates
     recordings = np.flatnonzero(np.array(problem.structure.group) == group)
@@ -73,7 +71,6 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     return OutputPath(
         frequency,
         latent.path[group][detected],
-        _decays(problem, minima, which, number),
         VelocityDiscrepancy(velocities, DB * db) if len(velocities) > 1 else None,
     )
 
@@ -86,14 +83,6 @@ def _residuals(
     # Noise and interference. The small weight of an outlier adds variance beyond the excess, which stays in its error.
     error = np.sqrt(np.maximum(total - np.exp(2 * phi[0]), table.variance))
     return latent.residual, np.where(detected, error, UNINFORMATIVE_ERROR), np.where(detected, 1 / total, 0.0)
-
-
-def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
-    """Decay rates relative to the string model at a minimum, shrunk towards 1 where the noise is large."""
-    observed, decay = problem.observed, minima.candidates.parts[2]
-    excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
-    shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
-    return select_partials(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)
 
 
 # --- velocity discrepancy ---------------------------------------------------------------------------------------------
