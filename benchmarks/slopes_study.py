@@ -9,11 +9,12 @@ that of the least-squares line through the envelope in dB, over the times that t
 the late part. It shares no code with the analysis.
 
 The envelope is clear if it lies 20 dB above the noise at the end of the line, falls by 3 dB or more, and stays within
-3 dB rms of the line. The noise is the median power of the recording's last 0.2 s in bands halfway between partials.
+1.5 dB rms of the line. The noise is the median power of the recording's last 0.2 s in bands halfway between partials.
 The table has the ratio of the reported to the measured rate: median, and the share within a factor of 1.25.
 
 With `--fixed` the times are 0.05 s to the first time that the measured envelope, averaged over 0.1 s, has fallen by
-15 dB (at most 2 s), and only the early rates are compared: that also works for an analysis that reports no times.
+10 dB (at most 2 s), and only the early rates are compared: that also works for an analysis that reports no times. The
+envelope is then clear only if it does not rise again to within 10 dB, as one does that beats.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from pianofit import PianofitError, analyse
 
 WIDEST = 35.0  # Hz, half the width of a band: more than any beat
 HALF_WIDTH = 0.35  # of f0
-CLEAR_NOISE, CLEAR_FALL, CLEAR_RMS = 20.0, 3.0, 3.0  # dB
-RANGE, LONGEST = 15.0, 2.0  # dB and s of `--fixed`
+CLEAR_NOISE, CLEAR_FALL, CLEAR_RMS = 20.0, 3.0, 1.5  # dB
+RANGE, LONGEST = 10.0, 2.0  # dB and s of `--fixed`
 WITHIN = 1.25
 NEPER = 20 / np.log(10)  # dB
 
@@ -63,13 +64,14 @@ def measured(level: np.ndarray, rate: int, start: float, stop: float, noise: flo
     return -slope / NEPER, bool(clear)
 
 
-def early_end(level: np.ndarray, rate: int) -> float:
-    """First time at which the averaged envelope has fallen by `RANGE`, s."""
+def early_end(level: np.ndarray, rate: int) -> tuple[float, bool]:
+    """First time at which the averaged envelope has fallen by `RANGE`, s, and whether it stays below."""
     size = round(0.1 * rate)
     total = np.cumsum(np.insert(10 ** (level[: round((LONGEST + 0.1) * rate)] / 10), 0, 0.0))
     power = 10 * np.log10((total[size:] - total[:-size]) / size)
     below = np.flatnonzero(power < power[0] - RANGE)
-    return (below[0] if len(below) else len(power)) / rate
+    end = below[0] if len(below) else len(power)
+    return end / rate, bool(np.all(power[end:] < power[0] - RANGE))
 
 
 def compare(file: Path, note: str, fixed: bool) -> list[tuple[str, int, float, float, bool]]:
@@ -86,14 +88,17 @@ def compare(file: Path, note: str, fixed: bool) -> list[tuple[str, int, float, f
         level = envelope(samples, rate, frequency, half)[onset:]
         between = envelope(samples, rate, frequency + found.f0 / 2, half)[-rate // 5 :]
         noise = float(np.median(between))
+        stays = True
         if fixed:
-            parts = [("early", table.decay[i], 0.05, early_end(level, rate))]
+            fallen, stays = early_end(level, rate)
+            parts = [("early", table.decay[i], 0.05, fallen)]
         else:
             start, bend, stop = table.slope_times[i]
             parts = [("early", table.decay[i], start, bend), ("late", table.late_decay[i], bend, stop)]
         for name, reported, begin, end in parts:
             if np.isfinite([reported, begin, end]).all():
-                rows.append((name, int(number), float(reported), *measured(level, rate, begin, end, noise)))
+                slope, clear = measured(level, rate, begin, end, noise)
+                rows.append((name, int(number), float(reported), slope, clear and stays))
     return rows
 
 
