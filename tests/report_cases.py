@@ -103,7 +103,8 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
     cents = random.normal(0, 0.6, count)
     partials = Partials(
         k, frequency * 2 ** (cents / 1200), frequency * 0.4 * np.log(2) / 1200, square,
-        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, square, level, np.full(count, 0.3), square,
+        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, square, decay, 0.05 * decay, np.zeros((count, 3)),
+            level, np.full(count, 0.3), square,
         np.zeros(count), np.full(count, 40.0), np.zeros(count), np.zeros(0, int), np.zeros(0),
     )  # fmt: skip
     analysis = Analysis(
