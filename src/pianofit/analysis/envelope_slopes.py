@@ -26,9 +26,9 @@ import numpy as np
 from ..conversions import DB
 from .baseband_fit import FittedBands
 
-# dB; as the early decay time of room acoustics (ISO 3382). A shorter line follows the beats, a longer one the aftersound:
-# lines of 8, 10, 15 and 20 dB are within a factor of 1.25 of the slope over 0.05 to 0.8 s, where that part of the
-# envelope is straight, for 81, 84, 73 and 58 % of the partials of four pianos.
+# dB; as the early decay time of room acoustics (ISO 3382). A shorter line follows the beats, a longer one the
+# aftersound: lines of 8, 10, 15 and 20 dB are within a factor of 1.25 of the slope over 0.05 to 0.8 s, where that part
+# of the envelope is straight, for 81, 84, 73 and 58 % of the partials of four pianos.
 EARLY_RANGE = 10.0
 CLEAR = 10.0  # dB above the noise of a frame, from which noise changes the log envelope by less than 2 dB rms
 _FEWEST = 8  # frames of a line, and of the whole envelope
