@@ -45,7 +45,7 @@ class _Felt:
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """Return module, attribute and scaling function by the first cell of the row in docs/fitting.md."""
-    from pianofit.analysis import baseband_fit, inharmonicity, partials
+    from pianofit.analysis import baseband_fit, envelope_slopes, inharmonicity, partials
     from pianofit.inference import (
         batched_model,
         derivatives,
@@ -137,7 +137,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`LEVEL_FRAMES_SECONDS`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),
         "`_FAST_BEAT_FACTOR`": (partials, "_FAST_BEAT_FACTOR", plain),
         "`_SLOW_BEAT_FACTOR`": (partials, "_SLOW_BEAT_FACTOR", plain),
-        "`_MAX_LOG_CHANGE`": (partials, "_MAX_LOG_CHANGE", plain),
+        "`LEAST_DECAY_RATIO`": (priors, "LEAST_DECAY_RATIO", plain),
+        "`EARLY_RANGE`": (envelope_slopes, "EARLY_RANGE", plain),
     }
 
 

@@ -67,10 +67,10 @@ def true_note(midi: int) -> Note:
 
 
 def uneven_note(midi: int) -> Note:
-    """The key with an individual level and decay of every partial."""
+    """The key with an individual level of every partial."""
     note, k = true_note(midi), np.arange(1, 16)
     frequency = mode_frequencies(note.string, note.geometry.length, len(k))
-    return note._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
+    return note._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k)))
 
 
 def rung(midi: int, partials: int = 10) -> Note:

@@ -32,6 +32,8 @@ def analysis(
         number=number, frequency=f, frequency_error=1e-4 * f, frequency_systematic=np.zeros((size, size)),
         decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0),
         decay_systematic=np.zeros((size, size)),
+        late_decay=np.full(size, np.nan), late_decay_error=np.full(size, np.nan),
+        slope_times=np.full((size, 3), np.nan),
         level=np.array(level, float), level_error=np.full(size, level_error),
         level_systematic=systematic**2 * np.ones((size, size)), level_decay_sensitivity_s=np.full(size, 0.1),
         snr=np.full(size, 40.0), beating=np.zeros(size),

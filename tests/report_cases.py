@@ -97,13 +97,14 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
     note = Note(
         String(2 * f0, 2 * f0 * np.sqrt(B) / np.pi, 0.6, 0.004 / np.pi**2),
         Hammer(5.2e9, 0.2, 2.56, 5.687e-3, velocity), Geometry(1.0, 0.00618, 0.12, 0.02, 0.5), "bridge-force", 0.0123,
-        OutputPath(frequency, 3 * np.sin(k / 9), np.ones(count)) if path else None,
+        OutputPath(frequency, 3 * np.sin(k / 9)) if path else None,
     )  # fmt: skip
     random, square = np.random.default_rng(5), np.zeros((count, count))
     cents = random.normal(0, 0.6, count)
     partials = Partials(
         k, frequency * 2 ** (cents / 1200), frequency * 0.4 * np.log(2) / 1200, square,
-        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, square, level, np.full(count, 0.3), square,
+        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, square, decay, 0.05 * decay, np.zeros((count, 3)),
+            level, np.full(count, 0.3), square,
         np.zeros(count), np.full(count, 40.0), np.zeros(count), np.zeros(0, int), np.zeros(0),
     )  # fmt: skip
     analysis = Analysis(

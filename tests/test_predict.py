@@ -44,7 +44,7 @@ def test_what_strokes_leave_is_taken_along():
     it, count = pianofit.typical(53), 20
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     velocities, discrepancy = np.array([0.5, 1.0, 3.0]), np.random.default_rng(1).normal(0, 3, (3, count))
-    path = OutputPath(note.frequencies(count), np.zeros(count), None, VelocityDiscrepancy(velocities, discrepancy))
+    path = OutputPath(note.frequencies(count), np.zeros(count), VelocityDiscrepancy(velocities, discrepancy))
     for velocity, over in ((1.0, discrepancy[1]), (np.sqrt(3.0), discrepancy[1:].mean(axis=0)), (5.0, discrepancy[2])):
         level = note.levels(velocity, count) + over
         recorded = analysis(np.arange(1, count + 1), level, f0=it.string.c / (2 * it.geometry.length))

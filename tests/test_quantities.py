@@ -118,7 +118,7 @@ def test_a_notebook_shows_latex_and_no_commands_of_a_file():
 
 def test_what_holds_arrays_is_shown_in_a_few_lines():
     k = np.arange(1.0, 400.0)
-    path = OutputPath(60 * k, k, k, VelocityDiscrepancy(np.arange(1.0, 9.0), np.zeros((8, 399))))
+    path = OutputPath(60 * k, k, VelocityDiscrepancy(np.arange(1.0, 9.0), np.zeros((8, 399))))
     part = VelocityGain(np.arange(1.0, 9.0), np.ones((8, 900), complex))
     own = np.zeros((2, 900))
     ringing = ModalResponse(np.ones(900, int), own[0] + 0j, own.T, own + 0j, np.zeros((2, 44_100)), 44_100, part)

@@ -1,4 +1,4 @@
-"""Shared conversions and constants: pitch in equal temperament, cents, decibels, 95 % intervals, beating."""
+"""Shared conversions and constants: pitch in equal temperament, cents, decibels, T60, 95 % intervals, beating."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ LOWEST_KEY, HIGHEST_KEY = 21, 108
 # Cents per unit of the natural logarithm of a frequency, and dB per unit of that of an amplitude.
 CENTS = 1200 / math.log(2)
 DB = 20 / math.log(10)
-T60_DB = 60.0  # fall of a level in the time T60
+# T60 times the decay rate of an amplitude, Np: an amplitude falls by 60 dB, a factor of 1000.
+T60_NEPERS = math.log(1000)
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

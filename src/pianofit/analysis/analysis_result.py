@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..conversions import CENTS, DB
+from ..conversions import CENTS, DB, T60_NEPERS
 from ..io.number_format import counted
 from ..io.table_output import data_frame, html_table
 from .glide import PitchGlide
@@ -20,8 +20,10 @@ PER_PARTIAL = {
     "number": "k",
     "frequency": "frequency, Hz",
     "frequency_error": "± noise",
-    "decay": "decay, 1/s",
+    "decay": "early decay, 1/s",
     "decay_error": "± noise",
+    "late_decay": "late decay, 1/s",
+    "late_decay_error": "±",
     "level": "level, dB",
     "level_error": "± noise",
     "snr": "SNR, dB",
@@ -44,8 +46,10 @@ COLUMNS = (
     Column("frequency", "Hz", 3, 14),
     Column("±", "Hz", 3, 9, error=True),
     Column("from law", "cents", 2, 15),
-    Column("decay", "1/s", 3, 11),
-    Column("±", "1/s", 3, 8, error=True),
+    Column("T60 early", "s", 2, 12),
+    Column("±", "s", 2, 7, error=True),
+    Column("T60 late", "s", 2, 11),
+    Column("±", "s", 2, 7, error=True),
     Column("level", "dB", 2, 10),
     Column("±", "dB", 2, 7, error=True),
     Column("SNR", "dB", 1, 8),
@@ -67,9 +71,12 @@ class Partials:
     frequency: np.ndarray  # [partials], Hz
     frequency_error: np.ndarray  # [partials], Hz
     frequency_systematic: np.ndarray  # [partials, partials], Hz²
-    decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
+    decay: np.ndarray  # [partials], 1/s, slope of the early part of the log envelope, in nepers
     decay_error: np.ndarray  # [partials], 1/s
-    decay_systematic: np.ndarray  # [partials, partials], 1/s²
+    decay_systematic: np.ndarray  # [partials, partials], 1/s²: from the decay rate of the energy, due to beats
+    late_decay: np.ndarray  # [partials], 1/s, the same of the late part; NaN where it is not visible
+    late_decay_error: np.ndarray  # [partials], 1/s, due to noise and beats
+    slope_times: np.ndarray  # [partials, 3], s: start of the early part, its end and the start of the late part, end
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray  # [partials], dB
     level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
@@ -87,6 +94,18 @@ class Partials:
         span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
         return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} not detected"
 
+    def t60(self) -> tuple[np.ndarray, np.ndarray]:
+        """T60 of the early and the late part of each envelope, s, with standard errors [2, partials] each.
+
+        Returns
+        -------
+        Values and errors. NaN where a part is not visible, or decays by less than one standard error.
+        """
+        rate = np.stack([self.decay, self.late_decay])
+        error = np.stack([self.total_error("decay"), self.late_decay_error])
+        t60 = T60_NEPERS / np.where(rate > error, rate, np.nan)
+        return t60, t60 * error / rate
+
     def total_error(self, column: str) -> np.ndarray:
         """Total standard deviation of "frequency", "decay" or "level": noise and systematic error [partials]."""
         return np.hypot(getattr(self, f"{column}_error"), np.sqrt(np.diag(getattr(self, f"{column}_systematic"))))
@@ -98,7 +117,7 @@ class Partials:
         return html_table(tuple(PER_PARTIAL.values()), self._rows())
 
     def to_dataframe(self) -> Any:
-        """One row per partial, by number; frequency in Hz, decay in 1/s, levels, SNR and beating in dB.
+        """One row per partial, by number; frequency in Hz, decays in 1/s, levels, SNR and beating in dB.
 
         Raises
         ------
@@ -167,12 +186,13 @@ class Analysis:
 
 
 def analysis_to_dict(analysis: Analysis) -> dict[str, Any]:
-    """JSON-ready copy. Values that are not finite (unbounded errors) become None.
+    """JSON-ready copy. Values that are not finite (unbounded errors, invisible parts of a decay) become None.
 
-    Systematic covariances are replaced by standard deviations [partials], in Hz, 1/s and dB: `frequency_systematic`,
-    `decay_systematic` and `level_systematic`.
+    `early_t60` and `late_t60` are added, s. Systematic covariances are replaced by standard deviations [partials], in
+    Hz, 1/s and dB: `frequency_systematic`, `decay_systematic` and `level_systematic`.
     """
-    data = {"schema": 1, **dataclasses.asdict(analysis)}
+    data = {"schema": 2, **dataclasses.asdict(analysis)}
+    (data["partials"]["early_t60"], data["partials"]["late_t60"]), _ = analysis.partials.t60()
     for name in ("frequency_systematic", "decay_systematic", "level_systematic"):
         data["partials"][name] = np.sqrt(np.diag(data["partials"][name]))
     return _plain(data)
@@ -193,6 +213,7 @@ def partial_rows(analysis: Analysis) -> list[tuple[float, ...]]:
     table = analysis.partials
     cents = CENTS * np.log(table.frequency / law_frequency(analysis.f0, analysis.B, table.number))
     error = table.total_error
-    columns = [table.number, table.frequency, error("frequency"), cents, table.decay, error("decay")]
+    t60, t60_error = table.t60()
+    columns = [table.number, table.frequency, error("frequency"), cents, t60[0], t60_error[0], t60[1], t60_error[1]]
     columns += [table.level, error("level"), table.snr, table.beating]
     return [tuple(float(x) for x in row) for row in zip(*columns, strict=True)]

@@ -24,13 +24,12 @@ class Components(NamedTuple):
     """Summary of the components of each partial; [partials]."""
 
     frequency: np.ndarray  # Hz, of the component with most energy
-    decay: np.ndarray  # 1/s, mean of the components' decay rates weighted by energy
     valid: np.ndarray  # bool: up to three components describe the partial
 
 
 def resolve_components(fitted: FittedBands, wanted: np.ndarray) -> Components:
     """Resolve the `wanted` partials (bool [partials]) into one to three components."""
-    result = Components(fitted.bands.centre.copy(), np.zeros(len(wanted)), np.zeros(len(wanted), bool))
+    result = Components(fitted.bands.centre.copy(), np.zeros(len(wanted), bool))
     if wanted.any():
         for column, resolved in zip(result, _resolve(fitted.select(wanted)), strict=True):
             column[wanted] = resolved
@@ -52,10 +51,10 @@ def _resolve(fitted: FittedBands) -> Components:
         if not best:
             best = trial
             continue
-        wanted = (best[2] > np.maximum(2 * frame, 1e-3 * power)) & (misfit < 0.7 * best[2]) & trial[3]
+        wanted = (best[1] > np.maximum(2 * frame, 1e-3 * power)) & (misfit < 0.7 * best[1]) & trial[2]
         best = [np.where(wanted, new, old) for new, old in zip(trial, best, strict=True)]
-    described = best[2] < np.maximum(2 * frame, 0.05 * power)
-    return Components(best[0], best[1], best[3].astype(bool) & described)
+    described = best[1] < np.maximum(2 * frame, 0.05 * power)
+    return Components(best[0], best[2].astype(bool) & described)
 
 
 def _subspace(series: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float]:
@@ -81,13 +80,12 @@ def _amplitudes(
 def _summary(
     bands: Bands, amplitude: NDArray[np.complex128], pole: NDArray[np.complex128], misfit: np.ndarray
 ) -> list[np.ndarray]:
-    """Frequency, decay, misfit and validity of amplitudes at the onset and poles in the band; [partials] each."""
+    """Frequency, misfit and validity of amplitudes at the onset and poles in the band; [partials] each."""
     c = 2 * amplitude / bands.gain(pole)
     decay = np.maximum(-pole.real, 0.05)
     energy = np.abs(c) ** 2 * -np.expm1(-2 * decay * _SPAN) / (2 * decay)
     strongest = np.argmax(energy, axis=1)[:, None]
     offset = np.take_along_axis(pole.imag, strongest, 1)[:, 0] / (2 * np.pi)
-    rate = np.sum(energy * -pole.real, axis=1) / np.sum(energy, axis=1)
     inside = (np.abs(pole.imag) < 0.35 * 2 * np.pi * bands.spacing) & (pole.real > -_FASTEST)
     valid = np.all(inside | (energy < 1e-4 * np.sum(energy, axis=1, keepdims=True)), axis=1)
-    return [bands.centre + offset, rate, misfit, valid]
+    return [bands.centre + offset, misfit, valid]

@@ -6,7 +6,9 @@ close to the Cramér–Rao bound. Real partials beat, glide and decay in two slo
 windows:
 
 - the frequency from 0.2 to 1.0 s after the onset, or from the dominant component if the partial beats deeply,
-- the decay rate from the first 0.8 s, which hold most of the energy.
+- the decay rates from the slopes of the envelope, early and late (envelope_slopes.py). The law of the string goes
+  through the early ones. Decay rates of components are not reported: components of a partial cancel, and the mean of
+  their rates is not a rate at which the partial decays.
 
 The level is the energy of the first 2 s minus that of the noise, under a weight that falls with the partial. The decay
 law of the string converts it to the span in which levels are defined. `level_decay_sensitivity_s` is the sensitivity of
@@ -23,7 +25,7 @@ similar, so it is estimated from a few neighbours, and their systematic errors a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,10 +34,10 @@ from ..dsp.level import LEVEL_RATE
 from .analysis_result import Partials
 from .baseband_fit import ExponentialFit, FittedBands, has_drifted, measure_levels
 from .beating_partials import Components, resolve_components
+from .envelope_slopes import Slopes, early_and_late
 from .inharmonicity import DecayLaw, decay_law
 
 LEAST_SNR = 14.0  # dB; a partial below it is rejected
-LEAST_DECAY = 1e-3  # 1/s, lower bound of reported decay rates
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 # 1/s, largest difference between the poles of the first window and of the whole recording; beyond, another sound.
@@ -48,7 +50,6 @@ _FAST_BEAT_FACTOR = 0.6  # systematic error of a level, nepers, over the amplitu
 _SLOW_BEAT_FACTOR = 0.5  # the same, over the amplitude of the beats within 2 s
 _BEAT_VISIBLE = 0.03  # amplitude of the noise over that of the partial, below which a beat can be measured
 _NEAR = 2  # partials on either side from which a systematic error is estimated
-_MAX_LOG_CHANGE = 2.0  # log; upper bound of the change of a decay rate by beats
 # Partials over which the correlation of systematic errors falls to 1/e; the value of most evidence on beating strings.
 _CORRELATION_LENGTH = 10.0
 # Rounding and remaining leakage without any noise: relative errors, and dB.
@@ -62,7 +63,7 @@ class _Fits:
     """Fits of all partials in several windows, and what they imply; [partials]."""
 
     full: ExponentialFit  # all frames
-    early: ExponentialFit  # the first 0.8 s, for decay rates
+    early: ExponentialFit  # the first 0.8 s, for frequencies of partials that do not last
     middle: ExponentialFit  # `FREQUENCY_WINDOW`
     first: ExponentialFit  # the first 0.4 s, for fast beats
     components: Components
@@ -96,16 +97,19 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     detected |= not detected.any()
     law = decay_law(number[detected], -fit.pole.real[detected], full.pole_error()[detected])
     frequency, frequency_error, frequency_sd = _frequencies(fits, bands.centre, clean & ~(glides & lasts))
-    decay, decay_error, decay_sd = _decays(fits, law(number))
+    early_slope, late_slope = (_of_clean(slopes, full, clean) for slopes in early_and_late(fitted))
     level, level_error, level_sd, lag = _levels(fits, fitted, law(number))
     table = Partials(
         number=number,
         frequency=frequency,
         frequency_error=frequency_error,
         frequency_systematic=_covariance(number, frequency_sd),
-        decay=np.maximum(decay, LEAST_DECAY),
-        decay_error=decay_error,
-        decay_systematic=_covariance(number, decay_sd),
+        decay=early_slope.rate,
+        decay_error=early_slope.noise,
+        decay_systematic=_covariance(number, _early_beat_error(early_slope)),
+        late_decay=late_slope.rate,
+        late_decay_error=np.hypot(late_slope.noise, late_slope.beat_error),
+        slope_times=np.stack([early_slope.start, early_slope.stop, late_slope.stop], axis=1),
         level=level,
         level_error=level_error,
         level_systematic=_covariance(number, level_sd) + _decay_law_covariance(number, lag, law),
@@ -155,23 +159,27 @@ def _frequencies(fits: _Fits, centre: np.ndarray, use_full: np.ndarray) -> tuple
     return np.where(components.valid, components.frequency, frequency), error, sd
 
 
-def _decays(fits: _Fits, law: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decay rates, their standard errors due to noise, and standard deviations of systematic errors, 1/s.
+def _of_clean(slopes: Slopes, full: ExponentialFit, clean: np.ndarray) -> Slopes:
+    """Slopes, with the exponential of the whole recording where one is sufficient, bool `clean` [partials].
 
-    Beats change a decay rate by a factor. The systematic error is the rms over neighbours of the relative change, times
-    the decay rate of the `law`. An error proportional to the measured value would give small values more weight. With
-    correlated errors a fitted law would then lie below all values (Peelle's pertinent puzzle).
+    Beats of neighbours that are visible also count where a partial shows none: it can be hidden in its short part.
     """
-    full, early, components = fits.full, fits.early, fits.components
-    single = -early.fit.pole.real
-    decay = np.where(components.valid, components.decay, single)
-    error = np.where(fits.clean, full.pole_error(), early.pole_error())
-    excess = np.where(fits.clean, full.excess, early.excess)
-    change = np.where(components.valid, _COMPONENTS * (decay - single), _beyond_noise(early, full, np.real))
-    change = np.hypot(change, error * np.sqrt(excess)) / np.maximum(decay, _DECAY_FLOOR * law)
-    sd = law * _neighbour_rms(np.minimum(np.hypot(change, fits.beat), _MAX_LOG_CHANGE))
-    decay = np.where(fits.clean, -full.fit.pole.real, decay)
-    return decay, np.hypot(error, _DECAY_FLOOR * decay), sd
+    visible = np.isfinite(slopes.rate)
+    rate = np.where(clean & visible, -full.fit.pole.real, slopes.rate)
+    noise = np.where(clean & visible, full.pole_error(), slopes.noise)
+    beats = _at_least_neighbours(np.where(clean, 0.0, slopes.beats))
+    return replace(slopes, rate=rate, noise=np.hypot(noise, _DECAY_FLOOR * np.abs(rate)), beats=beats)
+
+
+def _early_beat_error(early: Slopes) -> np.ndarray:
+    """Standard deviations of early decay rates due to beats, 1/s [partials].
+
+    A line is shorter where the measured rate is larger. An error proportional to the measured value would give small
+    values more weight. With correlated errors a fitted law would then lie below all values (Peelle's pertinent puzzle).
+    The duration is therefore the geometric mean over neighbours.
+    """
+    log = np.pad(np.log(early.stop - early.start), _NEAR, mode="symmetric")
+    return early.beats / np.exp(np.mean(np.lib.stride_tricks.sliding_window_view(log, 2 * _NEAR + 1), axis=1))
 
 
 def _levels(

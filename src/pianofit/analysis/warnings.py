@@ -16,13 +16,14 @@ from .baseband_fit import FittedBands
 from .glide import LEAST_GLIDE
 from .inharmonicity import B_RANGE, DecayLaw, FrequencyLaw
 from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
-from .partials import LEAST_DECAY
 
 # Smallest number of partials that must rise: fewer may beat together.
 FEWEST = 4
 # dB relative to the initial level; partials that rise to a lower level were not struck. A squeak of a guitar string
 # reaches -66, a second stroke of a tenth of the amplitude -20.
 FAINTEST = -40.0
+# 1/s; slower envelopes do not decay: their T60 is above two hours.
+LEAST_DECAY = 1e-3
 
 
 def detect_second_stroke(fitted: FittedBands) -> float | None:
@@ -70,8 +71,7 @@ def analysis_warnings(
         warnings.append("only 2 partials detected: B and the losses are poorly determined")
     if np.mean(table.decay <= LEAST_DECAY) > 0.5:
         warnings.append(
-            "most partials do not decay, so their decay rates are at the lower bound: a looped, reversed or compressed "
-            "sound does not determine the losses"
+            "most partials do not decay: a looped, reversed or compressed sound does not determine the losses"
         )
     if abs(glide_cents) > LEAST_GLIDE:
         warnings.append(

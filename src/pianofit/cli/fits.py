@@ -61,7 +61,7 @@ def _table(analysis: Analysis) -> str:
     laws = (
         ("f0", analysis.f0, analysis.f0_error, "Hz", ""),
         ("B", analysis.B, analysis.B_error, "", ""),
-        ("b1", analysis.b1, analysis.b1_error, "1/s", "decay rate of partial k: b1 + d2 k²"),
+        ("b1", analysis.b1, analysis.b1_error, "1/s", "decay rate of partial k: b1 + d2 k²; T60 is 6.91 over it"),
         ("d2", analysis.d2, analysis.d2_error, "1/s", ""),
     )
     cells = []

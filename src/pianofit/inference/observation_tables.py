@@ -204,7 +204,8 @@ def _string_tables(
         systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
         pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
         systematic = t.decay_systematic / np.outer(decay, decay)
-        loss.append((t.number, np.log(t.decay / decay), t.decay_error / t.decay, systematic))
+        ratio = np.maximum(t.decay / decay, priors.LEAST_DECAY_RATIO)
+        loss.append((t.number, np.log(ratio), t.decay_error / (ratio * decay), systematic))
     growth = 1 + (number / priors.LAW_REACH) ** 6
     # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
     # partials that beat. One recording does not show the scatter.

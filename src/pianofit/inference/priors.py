@@ -85,6 +85,9 @@ LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002, 1.0), (0.7, 0.4, 0.4, 0.9, 1.0))
 FREQUENCY = Hyperprior((0.5, 0.5, 0.7), (1.5, 1.5, 0.4))
 # Decays: the same, relative to the string model.
 DECAY = Hyperprior((0.2, 0.2, 0.7), (1.0, 1.0, 0.4))
+# Smallest ratio of an envelope's decay rate to the string model: the logarithm of a slope that beats made flat or
+# rising would count as a deviation by orders of magnitude.
+LEAST_DECAY_RATIO = 0.1
 # Partial from which windings and shear make a real string deviate from the string model.
 LAW_REACH = 10.0
 

@@ -118,7 +118,7 @@ def _entry(midi: int, key: Key) -> KeyEntry:
         hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H))),
         geometry=GeometryEntry(*map(float, key.note.geometry)),
         gain=float(key.note.gain),
-        path=None if path is None else PathEntry(path.frequency, path.db, path.decay_at(path.frequency)),
+        path=None if path is None else PathEntry(path.frequency, path.db),
         modal_response=modal_response,
         values=dict(key.values),
         changes=None if key.changes is None else dict(key.changes),

@@ -96,7 +96,7 @@ def format_like(other: float, value: float, interval: Sequence[float] | None) ->
 def with_standard_error(value: float, error: float) -> tuple[str, str]:
     """Return `value` and its standard error for a terminal, to two significant digits of the error."""
     if not (is_number(error) and error > 0):
-        return f"{value:.6g}", "-"
+        return f"{value:.6g}" if math.isfinite(value) else "-", "-"
     place = 1 - _exponent(error)
     if value and _exponent(value) + place > MOST:
         place = MOST - _exponent(value)

@@ -21,7 +21,7 @@ from .contact import strike
 from .free_response import level_db, modal_amplitudes
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
-from .output_path import OutputPath, apply_filter, apply_to_modes, impulse_response
+from .output_path import OutputPath, apply_filter, impulse_response, sample_at_modes
 from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
 
 MAX_SECONDS = 600.0
@@ -170,8 +170,8 @@ class Note(NamedTuple):
 
     def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
         """Render the modes of the string through the path, from the contact on [count]."""
-        path, pole = apply_to_modes(self.path, np.asarray(strike.modes.pole))
-        modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
+        path = sample_at_modes(self.path, np.asarray(strike.modes.pole))
+        modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain)
         sound = strike._replace(modes=modes).waveform(rate, count)
         return apply_filter(sound, impulse_response(path, rate))[:count]
 

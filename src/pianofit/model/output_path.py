@@ -1,7 +1,7 @@
 """The output path: soundboard, room and microphone, as a filter of unknown phase.
 
-Each partial has its own level through the path, and its own decay rate. A file consists of modes with these decay
-rates, through a filter with these levels.
+Each partial has its own level through the path. A file consists of the modes of the string, through a filter with these
+levels. Their decay rates are those of the string, b1 + b2 β²; decays of single partials belong to the modal response.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve
 
-from ..dsp.level import level_energy
 from ..io.number_format import summary
 
 # Largest relative difference of frequencies of the same partial: the pitch of recordings differs by cents.
@@ -40,7 +39,6 @@ class OutputPath(NamedTuple):
 
     frequency: np.ndarray
     db: np.ndarray
-    decay: np.ndarray | None = None  # decay rate of each partial over that of the string model
     velocity_discrepancy: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
 
     def __repr__(self) -> str:
@@ -51,13 +49,6 @@ class OutputPath(NamedTuple):
         interpolated = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
         nearest, is_same = self._nearest(frequency)
         return np.where(is_same, self.db[nearest], interpolated)
-
-    def decay_at(self, frequency: np.ndarray) -> np.ndarray:
-        """Ratio of decay rate to that of the string model at `frequency`, Hz; 1 where no partial was detected."""
-        if self.decay is None:
-            return np.ones(len(frequency))
-        nearest, is_same = self._nearest(frequency)
-        return np.where(is_same, self.decay[nearest], 1.0)
 
     def velocity_discrepancy_db(self, frequency: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Velocity discrepancy of strokes of `velocity`, m/s, at `frequency`, Hz: dB [velocities, frequencies].
@@ -88,17 +79,12 @@ def at_velocity(stroke_velocity: np.ndarray, rows: np.ndarray, velocity: Any) ->
     return low + (index % 1).reshape(*index.shape, *(1,) * (rows.ndim - 1)) * (high - low)
 
 
-def apply_to_modes(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:
-    """Apply a path to modes of complex `pole`, 1/s [modes]: return the filter for them, and their new poles.
-
-    The filter determines the level of each partial, the pole its decay rate. The level does not depend on the latter.
-    """
+def sample_at_modes(path: OutputPath | None, pole: np.ndarray) -> OutputPath | None:
+    """Return the path at the frequencies of modes of complex `pole`, 1/s [modes]; None without a path."""
     if path is None:
-        return None, pole
-    frequency, model_decay = np.abs(pole) / (2 * np.pi), -np.real(pole)  # |pole| is ascending at any damping
-    decay = model_decay * path.decay_at(frequency)
-    correction = 10 * np.log10(level_energy(2 * model_decay) / level_energy(2 * decay))
-    return OutputPath(frequency, path.at(frequency) + correction), -decay + 1j * np.imag(pole)
+        return None
+    frequency = np.abs(pole) / (2 * np.pi)  # |pole| is ascending at any damping
+    return OutputPath(frequency, path.at(frequency))
 
 
 def impulse_response(path: OutputPath | None, rate: float) -> np.ndarray | None:

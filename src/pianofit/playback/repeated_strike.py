@@ -19,7 +19,7 @@ from ..model.damped_sums import BLOCK, real_powers
 from ..model.modal_response import ForcePulse, trim_trailing_zeros
 from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note
-from ..model.output_path import apply_to_modes, impulse_response
+from ..model.output_path import impulse_response, sample_at_modes
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_STEPS, contact_rate, count_modes
 from ..parameters import Hammer
@@ -34,7 +34,6 @@ class StringTables(NamedTuple):
 
     modes: Modes
     powers: tuple[np.ndarray, np.ndarray]  # powers of the poles for the steps of a block, see `model.contact`
-    pole: np.ndarray  # complex, 1/s: of free vibration, each partial with its own decay rate
     rate: float  # of the contact, Hz
     unit: np.ndarray  # complex: amplitude that a unit T leaves, m/N, in physical displacement
     drive: np.ndarray  # complex: the same in file units, before the output path
@@ -68,19 +67,18 @@ def string_tables(note: Note, rate: float) -> StringTables:
         np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, note.quantity))
     )
     modes = Modes(*columns)
-    string_pole = np.asarray(modes.pole)
-    size, omega = np.abs(string_pole), np.imag(string_pole)
-    path, pole = apply_to_modes(note.path, string_pole)
+    pole = np.asarray(modes.pole)
+    size, omega = np.abs(pole), np.imag(pole)
+    path = sample_at_modes(note.path, pole)
     # Ratio of physical to numerical displacement, see `modes`.
     angle = np.minimum(0.5 * size / contact, MAX_RELATIVE_FREQUENCY * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
     gain = np.where(omega < np.pi * rate, note.gain, 0.0)
     pickup = gain * modes.free_pickup
-    faint = np.full(len(string_pole), AMPLITUDE_FLOOR) if path is None else AMPLITUDE_FLOOR * 10 ** (-path.db / 20)
+    faint = np.full(len(pole), AMPLITUDE_FLOOR) if path is None else AMPLITUDE_FLOOR * 10 ** (-path.db / 20)
     return StringTables(
         modes,
         (re, im),
-        pole,
         contact,
         unit * warp,
         gain * modes.pickup * unit,

@@ -81,7 +81,7 @@ class StringVoice:
             note if note.modal_response is None else note._replace(path=None), rate
         )
         self.ratio = round(self.table.rate / rate)
-        self.string = ModeBank(self.table.pole, self.table.pickup[None], self.table.faint, rate)
+        self.string = ModeBank(np.asarray(self.table.modes.pole), self.table.pickup[None], self.table.faint, rate)
         self.modal_response, self.modes = None, self.string
         if note.modal_response is not None:
             self.modal_response = note.modal_response.scale_gain(note.gain).at(rate)

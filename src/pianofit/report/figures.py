@@ -186,17 +186,17 @@ def _draw_decays(axes: Axes, result: Result) -> None:
     partials, note = result.analysis.partials, result.note
     k, decay = partials.number, partials.decay
     fitted = note.string.b1 + note.string.b2 * (k * np.pi / note.geometry.length) ** 2
-    # With beats, an estimated decay rate can be near zero. It would compress the range of all others.
+    # With beats, an envelope can be flat or rise. It would compress the range of all others.
     bottom = SLOWEST * float(np.min(fitted))
     below = decay < bottom
-    points(axes, k[~below], decay[~below], partials.decay_error[~below])
+    points(axes, k[~below], decay[~below], partials.total_error("decay")[~below])
     if below.any():
         axes.plot(k[below], np.full(below.sum(), bottom), "v", mfc="none", color=MEASURED, label="below this axis")
     axes.plot(k, fitted, label="fitted string", **LINES["fitted"])
     if bottom > 0:
         axes.set_yscale("log")
         log_axis(axes.yaxis)
-    axes.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
+    axes.set(title="Early decay of the envelope", ylabel="decay rate α (1/s)", xlabel="partial number k")
     number_axis(axes, k)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..conversions import DB, HALF_WIDTH_95, T60_DB
+from ..conversions import HALF_WIDTH_95, T60_NEPERS
 from ..errors import FitError, ParameterError
 from ..felt import LAWS, FeltLaw, law_of
 from ..inference.batched_model import run_in_batches
@@ -74,7 +74,7 @@ class ModelDraw:
         """Time in which a partial falls by 60 dB, s, by the string model, α = b1 + b2 β²."""
         string = self.note.string
         alpha = string.b1 + string.b2 * (partial * math.pi / self.note.geometry.length) ** 2
-        return float(T60_DB / (DB * alpha))
+        return float(T60_NEPERS / alpha)
 
     @property
     def felt_loss(self) -> float:

@@ -14,7 +14,6 @@ from ..inference import (
     InferenceResult,
     LatentPosterior,
     Minima,
-    select_partials,
     string_law,
 )
 from ..model.note import Note
@@ -46,8 +45,7 @@ def notes_of(fit: InferenceResult, which: int) -> list[Note]:
 def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: LatentPosterior) -> OutputPath:
     """Posterior mean of a group's output path, dB, at its detected partials.
 
-    Decay rates are relative to the string model. Frequencies are those of the string model, since
-    partials are identified by number.
+    Frequencies are those of the string model, since partials are identified by number.
     """
     observed, candidates = problem.observed, minima.candidates
     recordings = np.flatnonzero(np.array(problem.structure.group) == group)
@@ -61,16 +59,7 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     return OutputPath(
         frequency,
         latent.path[group][detected],
-        _decays(problem, minima, which, number),
         VelocityDiscrepancy(velocities, latent.discrepancy[np.ix_(recordings[first], detected)])
         if len(velocities) > 1
         else None,
     )
-
-
-def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
-    """Decay rates relative to the string model at a minimum, shrunk towards 1 where the noise is large."""
-    observed, decay = problem.observed, minima.candidates.parts[2]
-    excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
-    shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
-    return select_partials(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)

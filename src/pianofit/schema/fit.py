@@ -72,22 +72,16 @@ class PathEntry:
 
     frequency: np.ndarray
     db: np.ndarray
-    decay: np.ndarray | None = None  # decay rate over that of the string model
     velocity_discrepancy: VelocityDiscrepancyEntry | None = None
 
     def __post_init__(self) -> None:
-        columns = [self.frequency, self.db, *([] if self.decay is None else [self.decay])]
         discrepancy = self.velocity_discrepancy
         partials = len(self.db) if self.db.ndim == 1 else 0
         increasing = partials and self.frequency.ndim == 1 and (np.diff(self.frequency, prepend=0.0) > 0).all()
-        if not increasing or any(x.shape != self.frequency.shape for x in columns) or partials > MOST_POINTS:
-            raise ValueError(
-                f"Expected increasing frequencies and as many values of db and decay, at most {MOST_POINTS}"
-            )
+        if not increasing or self.db.shape != self.frequency.shape or partials > MOST_POINTS:
+            raise ValueError(f"Expected increasing frequencies and as many values of db, at most {MOST_POINTS}")
         if np.abs(self.db).max() > 300.0:
             raise ValueError(f"db reaches {np.abs(self.db).max():.3g} dB but must be at most 300")
-        if self.decay is not None and not ((self.decay >= 1e-3) & (self.decay <= 1e3)).all():
-            raise ValueError("decay must hold factors from 0.001 to 1000")
         if discrepancy is not None and discrepancy.db.shape[1] != partials:
             raise ValueError("velocity_discrepancy must have a level for every partial")
 
@@ -96,15 +90,14 @@ class PathEntry:
         """Return the entry of a path; None if there is none."""
         if path is None:
             return None
-        return cls(path.frequency, path.db, path.decay, VelocityDiscrepancyEntry.of(path.velocity_discrepancy))
+        return cls(path.frequency, path.db, VelocityDiscrepancyEntry.of(path.velocity_discrepancy))
 
     @property
     def output_path(self) -> OutputPath:
-        """The path of the model. Without an entry, the decay rates are those of the string model."""
+        """The path of the model."""
         entry = self.velocity_discrepancy
         discrepancy = None if entry is None else VelocityDiscrepancy(entry.velocity, entry.db)
-        decay = np.ones(len(self.db)) if self.decay is None else self.decay
-        return OutputPath(self.frequency, self.db, decay, discrepancy)
+        return OutputPath(self.frequency, self.db, discrepancy)
 
 
 @dataclass(frozen=True)

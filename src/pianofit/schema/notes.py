@@ -130,7 +130,7 @@ def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: FeltLaw) -> 
     if path is not None:
         db = path.db if minimum.path_db is None else minimum.path_db
         try:
-            path = PathEntry(path.frequency, db, path.decay, minimum.path_velocity_discrepancy).output_path
+            path = PathEntry(path.frequency, db, minimum.path_velocity_discrepancy).output_path
         except ValueError as error:
             raise FitError(f"{where}: path: {error}; {HINT}") from None
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)

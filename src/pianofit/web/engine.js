@@ -104,7 +104,7 @@ class Voice {
   constructor(table, rate, delayBlocks) {
     const { string, response, damper } = table;
     const gain = table.isMeasured ? [] : response.gain; // with a measured response the string itself has no output
-    this.string = new ModeBank({ pole: string.freePole, gain }, rate, string.ratio, damper);
+    this.string = new ModeBank({ pole: string.pole, gain }, rate, string.ratio, damper);
     this.modes = table.isMeasured ? new ModeBank(response, rate, 1, damper) : this.string;
     this.kernel = new FreeMotion(string, unitAtStrike(string));
     Object.assign(this, { table, rate, delayBlocks, hammer: table.hammer, contact: null, strokes: [], waiting: [] });

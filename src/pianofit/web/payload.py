@@ -143,7 +143,7 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
         entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knocks)
     elif note.path is not None:
         f = note.path.frequency
-        entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db), "decay": _base64(note.path.decay_at(f))}
+        entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db)}
     return entry
 
 

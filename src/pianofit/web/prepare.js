@@ -20,7 +20,6 @@ const MOST_MODES = 512;
 const MOST_DAMPED = 0.9; // largest α/ω
 const SAME_PARTIAL = 0.005; // relative, see model/output_path.py
 const RESPONSE = 1.0; // s, length of the transform for the impulse response of a path; its first half is kept
-const LEVEL_SPAN = 0.35, LEVEL_DECAY = 8.0; // s and 1/s, see model/free_response.py
 // Energy of the truncated tail of a path's impulse response, relative to the whole: -112 dB. The error of the sound is
 // then below -80 dB.
 const TAIL_ENERGY = 6e-12;
@@ -149,16 +148,10 @@ function pickupOf({ quantity, string, geometry }, beta, k, alpha, turn) {
   return [k % 2 ? -tension : tension, 0];
 }
 
-/** ∫ exp(-2(decay + 8)t) dt over the span of a level, s. */
-function levelEnergy(decay) {
-  const rate = 2 * (decay + LEVEL_DECAY);
-  return -Math.expm1(-rate * LEVEL_SPAN) / rate;
-}
-
-/** Level of each mode in the path filter, dB, and its decay rate, 1/s; see `apply_to_modes` in model/output_path.py. */
-function applyToModes(path, pole) {
+/** Level of each mode in the path filter, dB; see `sample_at_modes` in model/output_path.py. */
+function sampleAtModes(path, pole) {
   const count = pole.re.length, size = Float64Array.from(pole.re, (x, k) => Math.hypot(x, pole.im[k]) / (2 * Math.PI));
-  const db = new Float64Array(count), decay = new Float64Array(count), last = path.frequency.length - 1;
+  const db = new Float64Array(count), last = path.frequency.length - 1;
   for (let k = 0; k < count; k++) {
     let above = path.frequency.findIndex((f) => f >= size[k]);
     if (above < 0) above = last;
@@ -167,12 +160,9 @@ function applyToModes(path, pole) {
     const near = Math.abs(size[k] / path.frequency[nearest] - 1) < SAME_PARTIAL;
     const width = Math.log(path.frequency[above] / path.frequency[lower]);
     const part = width ? Math.min(Math.max(Math.log(size[k] / path.frequency[lower]) / width, 0), 1) : 0;
-    const level = near ? path.db[nearest] : path.db[lower] + part * (path.db[above] - path.db[lower]);
-    const stringDecay = -pole.re[k];
-    decay[k] = stringDecay * (near ? path.decay[nearest] : 1);
-    db[k] = level + 10 * Math.log10(levelEnergy(stringDecay) / levelEnergy(decay[k]));
+    db[k] = near ? path.db[nearest] : path.db[lower] + part * (path.db[above] - path.db[lower]);
   }
-  return { frequency: size, db, decay };
+  return { frequency: size, db };
 }
 
 /** Minimum-phase impulse response [samples] of levels at frequencies, truncated; see model/output_path.py. */
@@ -231,9 +221,9 @@ function pathGains(response, logZ) {
 }
 
 /** Response of a key without measured modes: its string through its output path. */
-function stringResponse(key, t, pole, path, rate, ratio) {
+function stringResponse(key, t, path, rate, ratio) {
   const count = t.pole.im.filter((x, k) => k < t.modes && x < Math.PI * rate).length;
-  const [audiblePole, excitation, pickup] = [pole, t.excitation, t.pickup].map((pair) => firstModes(pair, count));
+  const [audiblePole, excitation, pickup] = [t.pole, t.excitation, t.pickup].map((pair) => firstModes(pair, count));
   const dryGain = { re: pickup.re.map((x) => x * key.gain), im: pickup.im.map((x) => x * key.gain) };
   const filter = path ? impulse(path, rate) : [], size = filter.length;
   const gain = path ? times(dryGain, pathGains(filter, logZOf(audiblePole, rate))) : dryGain;
@@ -312,20 +302,18 @@ export function atVelocity(response, velocity) {
  * All tables that the engine needs of a key at a rate, Hz.
  *
  * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H}, geometry: {length, mass, strike_position, width,
- * pickup}, quantity, gain, damper, path?: {frequency, db, decay}, modal_response?: {pole, modal_amplitudes: [channel],
+ * pickup}, quantity, gain, damper, path?: {frequency, db}, modal_response?: {pole, modal_amplitudes: [channel],
  * knock: [channel], rate, velocity_gain?: {velocity, strokes}}}. `pole` and the elements of `modal_amplitudes` and
  * `strokes` are {re, im}. Amplitudes are in file units per N s.
  */
 export function prepare(key, rate) {
   const ratio = contactRatio(key.string, key.geometry, rate), t = modeTable(key, rate * ratio);
-  const path = key.path ? applyToModes(key.path, t.pole) : null;
-  const pole = path ? { re: path.decay.map((x) => -x), im: t.pole.im } : t.pole;
+  const path = key.path ? sampleAtModes(key.path, t.pole) : null;
   const isMeasured = Boolean(key.modal_response);
-  const response = isMeasured ? measuredResponse(key, rate) : stringResponse(key, t, pole, path, rate, ratio);
+  const response = isMeasured ? measuredResponse(key, rate) : stringResponse(key, t, path, rate, ratio);
   const pairs = ["unit", "excitation", "pole"].map((name) => [name, firstModes(t[name], t.modes)]);
   const columns = ["strikeWeight", "mass", "omega2"].map((name) => [name, t[name].slice(0, t.modes)]);
-  const string = { ...Object.fromEntries([...pairs, ...columns]), freePole: firstModes(pole, t.modes), step: t.step,
-    ratio, compliance: t.compliance };
+  const string = { ...Object.fromEntries([...pairs, ...columns]), step: t.step, ratio, compliance: t.compliance };
   return { string, response, hammer: key.hammer, damper: key.damper, isMeasured,
     smooth: isMeasured ? lowpass(1, ratio) : null };
 }

@@ -89,7 +89,7 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     """Tables of a key with at most `most_modes` modes, the loudest."""
     note = instrument.note(midi, 64)
     table = string_tables(note, RATE)
-    at_rest = np.zeros(len(table.pole), complex)
+    at_rest = np.zeros(len(table.modes.pole), complex)
     hammers = [instrument.note(midi, int(velocity)).hammer for velocity in VELOCITIES]
     forces = []
     for hammer in hammers:
@@ -130,7 +130,7 @@ def _modes(note: Note, table: StringTables) -> tuple[np.ndarray, np.ndarray, np.
         response = note.modal_response.scale_gain(note.gain).at(RATE)
         pole, pattern, gain = response.pole, response.pattern, response.velocity_gain
     else:
-        pole, pattern, gain = table.pole, table.drive[None] * table.rate, None
+        pole, pattern, gain = np.asarray(table.modes.pole), table.drive[None] * table.rate, None
         if table.path is not None:
             pattern = pattern * _gain(table.path, pole)
     inside = (np.imag(pole) > 0) & (np.imag(pole) < BAND * np.pi * RATE)
