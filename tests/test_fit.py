@@ -181,7 +181,7 @@ def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared
 
 @pytest.mark.parametrize(("ratio", "spread", "beyond"), [(19.0, 0.1, False), (40.0, 0.5, False), (60.0, 0.1, True)])
 def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, beyond):
-    problem = SimpleNamespace(parametrisation=SimpleNamespace(size=5, shared=2))
+    problem = SimpleNamespace(parametrisation=SimpleNamespace(size=5, shared=2, strokes=3))
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
     posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
     fit = SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior)

@@ -86,7 +86,7 @@ def test_the_order_of_files_changes_nothing():
     assert velocities[1] == pytest.approx(velocities[0][::-1], rel=2e-3)
     for name, p in first.parameters.items():
         assert other.parameters[name].value == pytest.approx(p.value, rel=2e-2 if name == "K_H" else 2e-3), name
-    assert other.diagnostics.negative_log_posterior == pytest.approx(first.diagnostics.negative_log_posterior, abs=0.05)
+    assert other.diagnostics.negative_log_posterior == pytest.approx(first.diagnostics.negative_log_posterior, abs=0.1)
 
 
 def test_known_velocities_are_kept():
