@@ -31,13 +31,14 @@ def residual_of(problem: FitProblem) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    level, table = map_estimate(problem).minima.candidates.level, problem.observed.level
-    phi, w, residual = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual))
+    candidates, table = map_estimate(problem).minima.candidates, problem.observed.level
+    level = candidates.level
+    phi, w, residual, theta = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual, candidates.theta))
 
     def F(x: np.ndarray) -> float:
         log_tau, log_smooth, log_octaves = x
         at = table._replace(log_tau=np.full_like(np.asarray(table.log_tau), log_tau))
-        return float(objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w))
+        return float(objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w, theta))
 
     start = np.log([4.0, 8.0, 0.7])
     end = minimize(F, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 120})

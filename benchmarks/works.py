@@ -146,7 +146,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     model, z = held.level_model, sobol_samples(held, 0)
     many, some = model.stroke_entries(z), model.stroke_entries(z)[:BATCH_SIZE]
     people = held.start(z[:POINTS], [initial_hyperparameters(table)])
-    at = people.level[:4]
+    at = *people.level[:4], people.theta
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
         "modes": model.cfg.n_modes, "steps": int(model.inputs.steps),

@@ -322,7 +322,7 @@ def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
 def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
     at = jax.tree.map(jnp.asarray, at)
-    densities = [pointwise(*term, jnp) for term in _terms(at, point, cfg)[2]]
+    densities = [pointwise(*term, xp=jnp) for term in _terms(at, point, cfg)[2]]
     detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
     return *detected, densities[0][1]
 

@@ -54,7 +54,7 @@ def derived_status(name: str, states: Mapping[str, Status], log_sd: float = 0.0)
         on it.
     log_sd : standard deviation of the logarithm of the quantity by the joint posterior; 0 if it is not known.
     """
-    below = [states[other] for other in foundations(name) if other in states]
+    below: list[Status] = [states[other] for other in foundations(name) if other in states]
     status = combined_status(below, log_sd)
     is_scaled = name.partition(" ")[0] not in INVARIANT and {"scaled", "assumed"} & {*below}
     return "scaled" if status == "fitted" and is_scaled else status
