@@ -207,24 +207,31 @@ def _by_path(point: _Point) -> np.ndarray:
 def _by_walk(point: _Point, theta: np.ndarray) -> tuple[float, np.ndarray]:
     """Derivatives by log ρ, and by θ through the velocities [n]."""
     table, s, weight, *_ = point
-    p = s.factors
+    p, root = s.factors, np.sqrt(weight)[..., None, None, None]
+    if len(p.walk) == table.group.shape[1]:  # one recording of each path
+        return 0.0, np.zeros(len(theta))
     path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
     # Derivative by ρ² W, between recordings of one path [R, R].
     out = p.precision.sum(axis=0) - p.relative_precision @ p.precision_sum.T
     out += ((table.group @ path) * p.relative_precision) @ p.relative_precision.T
-    out -= np.einsum("tm,tmqrk,tmqsk->rs", weight, p.U, p.U, optimize=True)
-    out -= np.einsum("tm,tmrk,tmsk->rs", weight, s.precision_residual, s.precision_residual, optimize=True)
+    out -= _products(root * p.U) + _products(root * s.precision_residual[:, :, None])
     out *= 0.5
     if point.sensitivity.shape[2]:
-        remaining, by_mean = point.unexplained, weight[..., None] * point.by_mean
-        out += np.einsum("tmn,tmnrk,tmsk->rs", by_mean, remaining, s.precision_residual, optimize=True)
-        by_variance = weight[..., None] * point.by_variance
-        out += np.einsum("tmn,tmnrk,tmnsk->rs", by_variance, remaining, remaining, optimize=True)
+        remaining, by_mean = point.unexplained, (weight[..., None] * point.by_mean)[..., None, None]
+        out += _products((by_mean * remaining).sum(axis=2, keepdims=True), s.precision_residual[:, :, None])
+        out += _products((weight[..., None] * point.by_variance)[..., None, None] * remaining, remaining)
     log_velocity, centred = table.velocity @ theta, centring(table)
     by_distance = centred.T @ (out + out.T) @ centred * (table.group @ table.group.T)
     faster = np.sign(log_velocity[:, None] - log_velocity)
     slope = -0.5 * np.exp(2 * point.log_walk) * (by_distance * faster).sum(axis=1)
     return float(2 * (out * p.walk).sum()), slope @ table.velocity
+
+
+def _products(x: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+    """Σ x y of two recordings over nodes, rows and partials [T, M, n, R, K]: [R, R]; y = x if None."""
+    R = x.shape[3]
+    first, second = (np.moveaxis(one, 3, 0).reshape(R, -1) for one in (x, x if y is None else y))
+    return first @ second.T
 
 
 class LatentPosterior(NamedTuple):
@@ -263,6 +270,14 @@ def dense_inverse(table: ObservationTable, p: CovarianceFactors) -> np.ndarray:
     return before - u.swapaxes(2, 3) @ u
 
 
+class Marginal(NamedTuple):
+    """F of one table at a point, with hyperparameters and log-weights integrated out of its curvature."""
+
+    curvature: np.ndarray  # by θ [size, size]
+    log_det: float  # of the curvature by what is integrated out
+    nll: float  # F
+
+
 def marginalise_nuisances(
     table: ObservationTable,
     residual: np.ndarray,
@@ -271,11 +286,11 @@ def marginalise_nuisances(
     w: np.ndarray,
     theta: np.ndarray,
     hyper: Sequence[int],
-) -> tuple[np.ndarray, float]:
-    """Curvature by θ with the entries `hyper` of φ and all log-weights integrated out [size, size].
+) -> Marginal:
+    """Curvature by θ with the entries `hyper` of φ and all log-weights integrated out.
 
-    The second result is the log determinant of their part. The approximation is quadratic in all of them. The curvature
-    by θ alone is Gauss-Newton. The covariance of the walk is that of the velocities at θ.
+    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
+    is that of the velocities at θ.
     """
     detected, step = np.asarray(table.detected) > 0, 1e-4
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w, theta)
@@ -297,9 +312,9 @@ def marginalise_nuisances(
     ratio, along = np.linalg.eigh(marginal / np.outer(unit, unit))
     # Without a positive curvature the quadratic approximation fails: φ and w are treated as known.
     if ratio[0] < -NEGATIVE:
-        return curvature, float(np.log(value).sum())
+        return Marginal(curvature, float(np.log(value).sum()), float(found.nll[0]))
     root = unit[:, None] * along * np.sqrt(np.maximum(ratio, 0.0))
-    return root @ root.T, float(np.log(value).sum())
+    return Marginal(root @ root.T, float(np.log(value).sum()), float(found.nll[0]))
 
 
 def _by_weights(

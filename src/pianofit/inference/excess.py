@@ -24,14 +24,12 @@ from .derivatives import evaluate, marginalise_nuisances
 from .likelihood import ObservationTable, em_weights
 
 # First distance of two nodes of log σ, in standard deviations of log σ if no parameter followed the levels: 1/√(2n).
-# Each further one is twice as far from the minimum.
-SPACING = 1.0
+# Each further one is twice as far from the minimum. The trapezoidal rule integrates a Gaussian at this spacing to 2 %.
+SPACING = 2.0
 # Nodes whose density is lower than the highest by this factor's logarithm have no weight.
 NEGLIGIBLE = 6.0
-# Maximum number of nodes on one side: the last is 64 spacings away.
-MOST = 8
-# Iterations of the weights w at a node: they change little with σ.
-WEIGHT_STEPS = 2
+# Maximum number of nodes on one side: at the last, 16 spacings away, σ no longer matters or is as large as its prior.
+MOST = 5
 
 
 class ExcessNodes(NamedTuple):
@@ -39,6 +37,7 @@ class ExcessNodes(NamedTuple):
 
     log_density: np.ndarray  # -F - ½ log|H| of φ and log w, and the logarithm of the quadrature's weight [nodes]
     curvature: np.ndarray  # of F by θ, with the other φ and log w integrated out [nodes, size, size]
+    score: np.ndarray  # log marginal density with σ of the other tables at the minimum, over the highest [nodes]
 
 
 class TablePoint(NamedTuple):
@@ -58,10 +57,10 @@ def _node(point: TablePoint, log_sigma: float) -> tuple[float, np.ndarray]:
     table, residual, jacobian, phi, w, theta, others = point
     phi = phi.copy()
     phi[0] = log_sigma
-    for _ in range(WEIGHT_STEPS):
+    if log_sigma != point.phi[0]:  # one step of EM: the weights change little with σ
         w = em_weights(table, evaluate(table, residual, jacobian, phi, w, theta).by_log_w, w)
-    curvature, log_det = marginalise_nuisances(table, residual, jacobian, phi, w, theta, others)
-    return -float(evaluate(table, residual, jacobian, phi, w, theta).nll) - 0.5 * log_det, curvature
+    found = marginalise_nuisances(table, residual, jacobian, phi, w, theta, others)
+    return -found.nll - 0.5 * found.log_det, found.curvature
 
 
 def excess_nodes(point: TablePoint, log_det: Callable[[np.ndarray], float], reach: float) -> ExcessNodes:
@@ -76,16 +75,16 @@ def excess_nodes(point: TablePoint, log_det: Callable[[np.ndarray], float], reac
     spacing = SPACING / np.sqrt(2 * float(np.asarray(point.table.detected).sum()) + 1 / sd**2)
     centre = float(point.phi[0])
     found = {centre: _node(point, centre)}
-    highest = found[centre][0] - 0.5 * log_det(found[centre][1])
+    scores = {centre: found[centre][0] - 0.5 * log_det(found[centre][1])}
     for offsets in (spacing * 2.0 ** np.arange(MOST), -spacing * 2.0 ** np.arange(MOST)):
         for at in np.clip(centre + offsets, mean - reach * sd, mean + reach * sd).tolist():
             found[at] = _node(point, at)
-            score = found[at][0] - 0.5 * log_det(found[at][1])
-            highest = max(highest, score)
-            if score < highest - NEGLIGIBLE:
+            scores[at] = found[at][0] - 0.5 * log_det(found[at][1])
+            if scores[at] < max(scores.values()) - NEGLIGIBLE:
                 break
     nodes = sorted(found)
     # The trapezoidal rule; at its ends the density is negligible, or the range ends.
     width = np.gradient(nodes) if len(nodes) > 1 else np.ones(1)
     density = np.array([found[x][0] for x in nodes]) + np.log(width)
-    return ExcessNodes(density, np.array([found[x][1] for x in nodes]))
+    score = np.array([scores[x] for x in nodes])
+    return ExcessNodes(density, np.array([found[x][1] for x in nodes]), score - score.max())

@@ -23,7 +23,7 @@ from scipy.special import erfcx
 from scipy.stats import norm
 
 from ..conversions import HALF_WIDTH_95
-from .excess import ExcessNodes, TablePoint, excess_nodes
+from .excess import NEGLIGIBLE, ExcessNodes, TablePoint, excess_nodes
 from .objective import HYPER_REACH, Candidates, Objective
 
 # Indices of the unknown hyperparameters φ besides σ, of the tables of levels, frequencies and decays.
@@ -166,6 +166,8 @@ def _at_minimum(objective: Objective, candidates: Candidates, i: int, gradient: 
     nodes, prior = _nodes(objective, candidates, i, along, free)
     masses, total = [], np.zeros((u.size, u.size))
     for node in itertools.product(*(range(len(own.log_density)) for own in nodes)):
+        if sum(own.score[n] for own, n in zip(nodes, node, strict=True)) < -NEGLIGIBLE:
+            continue
         precision = prior + sum(own.curvature[n] for own, n in zip(nodes, node, strict=True))
         inverse, log_det = _inverse(along.T @ precision @ along, free, at_bound, slope)
         masses.append(sum(own.log_density[n] for own, n in zip(nodes, node, strict=True)) - 0.5 * log_det)

@@ -110,6 +110,15 @@ def _whitening(x: Values, xp: Space) -> Values:
     return jax.lax.map(lambda a: solve_triangular(cholesky(a, lower=True), eye, lower=True), matrices).reshape(shape)
 
 
+def _inverse(x: Values, xp: Space) -> tuple[Values, Values]:
+    """Inverses of well-conditioned matrices in a stack [K, n, n], and half the sum of their log determinants."""
+    if xp is np:
+        diagonal = np.diagonal(np.linalg.cholesky(x), axis1=1, axis2=2)
+        return np.linalg.inv(x), np.log(diagonal).sum()
+    whitening = _whitening(x, xp)
+    return xp.swapaxes(whitening, 1, 2) @ whitening, _half_log_det(whitening, xp).sum()
+
+
 def _half_log_det(whitening: Values, xp: Space) -> Values:
     """½ log|L Lᵀ| [...] from L⁻¹ [..., n, n]."""
     return -xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -161,10 +170,9 @@ def factor_covariance(
     entry_variance = variance(table, phi, w, xp)
     walk = xp.exp(2 * phi[4]) * walk_covariance(table, theta, xp)
     root = (table.detected / xp.sqrt(entry_variance)).T
-    whitening = _whitening(xp.eye(len(walk)) + root[:, :, None] * walk * root[:, None, :], xp)
-    half_log_det = _half_log_det(whitening, xp).sum() + 0.5 * (table.detected * xp.log(entry_variance)).sum()
-    whitening = whitening * root[:, None, :]
-    precision = xp.swapaxes(whitening, 1, 2) @ whitening
+    inverse, half_log_det = _inverse(xp.eye(len(walk)) + root[:, :, None] * walk * root[:, None, :], xp)
+    half_log_det = half_log_det + 0.5 * (table.detected * xp.log(entry_variance)).sum()
+    precision = root[:, :, None] * inverse * root[:, None, :]
     precision_sum = precision.sum(axis=2).T
     total = table.group.T @ precision_sum
     detected = (table.group.T @ table.detected) > 0
