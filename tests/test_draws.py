@@ -55,10 +55,11 @@ def written(folder: Path, data: bytes) -> Draws | None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
     """With dense covariances: log p(y) - log p(y without it), summed over nodes, and P(below its bound | y)."""
-    t, (residual, w) = table(shape), point(shape)
+    t, (residual, w, theta) = table(shape), point(shape)
     detected, y = np.asarray(t.detected).ravel() > 0, residual.ravel()
     full = {
-        node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.log_weight.shape)
+        node: shared(t, PHI, node, theta) + np.diag((noise(t, PHI) / w).ravel())
+        for node in np.ndindex(t.log_weight.shape)
     }
 
     def log_density(at: np.ndarray) -> float:
@@ -68,7 +69,7 @@ def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
         ]
         return float(logsumexp(by_node))
 
-    density, below = pointwise(t, residual, PHI, w)
+    density, below = pointwise(t, residual, PHI, w, theta)
     inside = np.flatnonzero(detected)
     for i in inside[:: max(1, len(inside) // 6)]:
         alone = log_density(inside) - log_density(inside[inside != i])
@@ -78,7 +79,7 @@ def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
         at, own = r * t.value.shape[1] + k, noise(t, PHI).ravel()
         by_node = []
         for n in full:
-            latent, C = shared(t, PHI, n), full[n][np.ix_(inside, inside)]
+            latent, C = shared(t, PHI, n, theta), full[n][np.ix_(inside, inside)]
             pull = np.linalg.solve(C, latent[inside, at])
             sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[inside, at])
             weight = t.log_weight[n] + multivariate_normal(np.zeros(len(inside)), C).logpdf(y[inside])

@@ -11,8 +11,7 @@ import pytest
 
 from pianofit import Quantity, Setup, analyse, fit, load_note, recording_from_samples
 from pianofit.errors import FitError, SetupError
-from pianofit.felt import LAWS, RelaxingHammer
-from pianofit.parameters import Hammer
+from pianofit.felt import LAWS
 from pianofit.schema.decode import builtins_of, encode_json
 from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import MEANINGS
@@ -75,7 +74,7 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
         assert table.mu == Quantity("mu", 0.0, "s/m", None, "given", MEANINGS["mu"], note, 0.0)
     (tmp_path / "fit.json").write_bytes(encode_json(found))
     note, _ = load_note(tmp_path / "fit.json")
-    assert isinstance(note.hammer, RelaxingHammer if law == "stulov" else Hammer)
+    assert type(note.hammer) is LAWS[law].hammer_type
     assert note.hammer.mu == table.mu.value
     assert np.isfinite(note.render_stroke(44_100, 4410)[0]).all()
 

@@ -127,7 +127,9 @@ def test_a_prior_that_says_nothing_is_the_box():
 
 def test_what_scales_with_lengths_and_masses_follows_from_the_units():
     assert (FOAM.parameters_with_unit("N m"), FOAM.parameters_with_unit("N")) == (("K", "s", "d"), ("K",))
-    assert [law.parameters_with_unit("N m") for law in LAWS.values()] == [("K_H", "mu"), ("K_H",), ("K_H",)]
+    found = {name: law.parameters_with_unit("N m") for name, law in LAWS.items()}
+    soft = ("K_H", "mu", "skin")
+    assert found == {"hunt-crossley": ("K_H", "mu"), "power": ("K_H",), "soft-skin": soft, "stulov": ("K_H",)}
 
 
 @pytest.mark.parametrize("seed", range(5))

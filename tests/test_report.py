@@ -20,6 +20,7 @@ from report_cases import (
     NAMES,
     Page,
     content_of_recordings,
+    covariance_content,
     drawn_in,
     drawn_once,
     example_content,
@@ -262,10 +263,11 @@ def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path):
 
 
 def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path):
-    one = example_fit(minima=[minimum(1.0, 0.0)])
+    covariance = {"covariance": covariance_content()}
+    one = example_fit(minima=[minimum(1.0, 0.0) | covariance])
     assert minima(one) is None
     assert "Minima of the objective" not in Page(written(tmp_path, one)).text
-    two = example_fit(minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
+    two = example_fit(minima=[minimum(0.7, 0.0) | covariance, minimum(0.3, 1.25) | covariance])
     names, _ = minima(two)
     assert [name for name, _ in names] == ["K_H", "p"]
     text = Page(written(tmp_path, two)).text.replace("\u00a0", " ")

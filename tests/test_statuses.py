@@ -24,12 +24,11 @@ def test_what_stands_on_what_has_no_circle_and_ends_at_parts_of_the_model_or_par
 @pytest.mark.parametrize(
     ("name", "states", "log_sd", "expected"),
     [
-        ("contact_ms", {"M_H": "not-identifiable"}, 0.01, "not-identifiable"),
-        ("max_force_N", {"M_H": "scaled", "v_H0": "not-identifiable"}, 0.01, "not-identifiable"),
-        ("max_force_N", {"M_H": "scaled", "v_H0": "given"}, 0.01, "scaled"),
-        ("max_force_N", {"M_H": "fitted", "v_H0": "given"}, 0.8, "not-identifiable"),
-        ("max_compression_mm", {"F/M_S": "at-bound", "M_H": "fitted", "v_H0": "given"}, 0.1, "at-bound"),
-        ("contact_ms", {"M_H": "scaled", "v_H0": "not-identifiable"}, 0.01, "fitted"),
+        ("M_H/M_S", {"M_H": "not-identifiable"}, 0.01, "not-identifiable"),
+        ("M_H/M_S", {"M_H": "scaled", "v_H0": "not-identifiable"}, 0.01, "fitted"),
+        ("M_H/M_S", {"M_H": "fitted"}, 0.8, "not-identifiable"),
+        ("hammer", {"F/M_S": "at-bound", "M_H": "fitted"}, 0.1, "at-bound"),
+        ("B", {"c": "scaled", "kappa": "scaled"}, 0.01, "fitted"),
         ("M_H/M_S", {"M_H": "given"}, 0.0, "given"),
         ("M_H/M_S", {"M_H": "assumed"}, 0.0, "assumed"),
         ("v/v_ref 2", {"v_H0": "not-identifiable"}, 0.0, "not-identifiable"),

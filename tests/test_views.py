@@ -149,7 +149,7 @@ def test_a_profile_rises_to_its_ends_and_says_how():
         distance = np.abs(np.log(values / values[rises.argmin()]))
         reach = np.abs(np.log(np.array([low, high]) / values[rises.argmin()]))
         share = distance / np.where(values < values[rises.argmin()], reach[0], reach[1])
-        np.testing.assert_allclose(share[inner], np.sqrt(rises / DELTA_NLL_95)[inner], atol=0.12)
+        np.testing.assert_allclose(share[inner], np.sqrt(rises / DELTA_NLL_95)[inner], atol=0.15)
 
 
 @pytest.mark.parametrize("name", ["p", "K_H"])
@@ -222,7 +222,7 @@ def test_the_density_is_that_of_f_with_its_gradient():
     assert float(value) == pytest.approx(-fitted().minima.nll[0], abs=1e-6)
     np.testing.assert_allclose(slope.whitened, 0.0, atol=0.02)
     for log_w in slope.log_w:
-        np.testing.assert_allclose(log_w, 0.0, atol=0.02)
+        np.testing.assert_allclose(log_w, 0.0, atol=0.05)
     point, step = random_start(at, key, 0.5), 1e-4
     _, slope = density_of(point)
     flat, unravel = jax.flatten_util.ravel_pytree(point)

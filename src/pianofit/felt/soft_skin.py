@@ -1,7 +1,7 @@
-"""A felt with a soft skin, F = K_H g^p (1 + μ u̇), g = u²/(u + s): softer than a power law below the thickness s.
+"""A felt with a soft skin, F = K_H g^p (1 + μ u̇), g = u²/(u + d): softer than a power law below the thickness d.
 
-Needled and worn felts are loose at their surface. Under a small compression, u ≪ s, the force rises as u^(2p); under a
-large one it follows the power law of the felt below, displaced by s. The stored energy is the integral of the static
+Needled and worn felts are loose at their surface. Under a small compression, u ≪ d, the force rises as u^(2p); under a
+large one it follows the power law of the felt below, displaced by d. The stored energy is the integral of the static
 force, by Gauss-Legendre quadrature.
 """
 
@@ -45,6 +45,6 @@ SOFT_SKIN = FeltLaw(
     force,
     storage,
     power=("K_H", "p"),
-    formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + s)"),
+    formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + d)"),
 )
 LAWS = (SOFT_SKIN,)

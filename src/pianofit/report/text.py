@@ -28,7 +28,7 @@ STATUS = {  # status -> mark, explanation
 SYMBOLS = {
     "kappa": "κ",
     "mu": "μ",
-    "skin": "s",
+    "skin": "d",
     "epsilon": "ε",
     "tau": "τ",
     "b1": "b_1",

@@ -118,7 +118,10 @@ def _gaussian(fit: Fit, law: FeltLaw, minimum: Minimum, standard: np.ndarray) ->
 
     def value(name: str) -> float:
         stroke = reference if name == "v_H0" else int(name[5:]) - 1 if name.startswith("v_H0 ") else None
-        return minimum.parameters[name] if stroke is None else float(minimum.velocities[stroke])
+        if stroke is not None:
+            return float(minimum.velocities[stroke])
+        # Sizes are the same at all minima. A scale of the pickup is drawn as a ratio to its given value.
+        return minimum.parameters.get(name, fit.parameters[name].value if name in fit.parameters else 1.0)
 
     mean = np.log([value(name) for name in names])
     power = [names.index(name) for name in law.power or ()]
