@@ -242,6 +242,7 @@ def test_a_bad_measured_value_is_an_error_at_once(arguments, message):
         Measured(*arguments)
 
 
+@pytest.mark.slow
 def test_profiles_hold_the_length():
     setup = replace(setup_of(FIRST), length=Measured(LENGTH, 0.004), strike_position=None)
     setup = replace(setup, pickup_quantity="bridge-force", pickup_position=None, pickup_scale=None)
@@ -253,6 +254,7 @@ def test_profiles_hold_the_length():
 
 
 @pytest.mark.usefixtures("float64")
+@pytest.mark.slow
 def test_the_density_of_the_draws_is_that_of_f_at_another_length():
     setup = replace(
         setup_of(FIRST),
