@@ -134,7 +134,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     import pianofit
     from pianofit.inference import build_problem
     from pianofit.inference.batched_model import BATCH_SIZE, level_jacobians, run_in_batches
-    from pianofit.inference.derivatives import evaluate_batch
+    from pianofit.inference.derivatives import evaluate
     from pianofit.inference.estimate import fit_string
     from pianofit.inference.multistart import initial_hyperparameters, sobol_samples
     from pianofit.inference.objective import Objective
@@ -155,7 +155,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     return {
         HAMMERS: lambda: model.levels(many),
         SLOPES: lambda: run_in_batches(level_jacobians, (string, some), model.inputs, model.cfg),
-        OBJECTIVE: lambda: evaluate_batch(table, *at),
+        OBJECTIVE: lambda: evaluate(table, *at),
     }, sizes
 
 

@@ -11,7 +11,7 @@ import scipy.stats
 from table_cases import PHI, SHAPES, SHARED, SMALL, dense, dense_nodes, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.derivatives import evaluate, latent_posterior
+from pianofit.inference.derivatives import Evaluation, evaluate, latent_posterior
 from pianofit.inference.likelihood import (
     ObservationTable,
     combine_nodes,
@@ -26,6 +26,11 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 F = jax.jit(objective)
 ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
+
+
+def evaluate_one(t, *at):
+    """`evaluate` at one point."""
+    return Evaluation(*(x[0] for x in evaluate(t, *(np.asarray(x)[None] for x in at))))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -46,7 +51,7 @@ def test_the_gradient_is_the_automatic_one(shape):
     automatic = jax.jit(
         jax.grad(lambda d, at: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w, at), argnums=(0, 1))
     )
-    _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w, theta)
+    _, gradient, hessian, *_ = evaluate_one(t, residual, jacobian, PHI, w, theta)
     by_levels, by_velocities = automatic(np.zeros(size), theta)
     np.testing.assert_allclose(gradient, by_levels + by_velocities, rtol=1e-9, atol=1e-9)
     several = len(residual) > len(t.group[0])  # recordings of a path
@@ -64,7 +69,7 @@ def test_the_gradient_is_the_automatic_one(shape):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_report_has_the_derivatives_of_the_objective(shape):
     t, (residual, w, theta) = table(shape), point(shape)
-    found = evaluate(t, residual, np.ones((*residual.shape, len(theta))), PHI, w, theta)
+    found = evaluate_one(t, residual, np.ones((*residual.shape, len(theta))), PHI, w, theta)
 
     def of(p: jax.Array, x: jax.Array) -> jax.Array:
         return objective(t, jnp.asarray(residual), p, jnp.exp(x), theta)
@@ -85,8 +90,8 @@ def test_the_parabola_touches_F_from_above(shape):
     jacobian = random.normal(size=(*residual.shape, len(theta)))
     surrogate = QuadraticSurrogate.of(t, PHI, w, residual, theta)
     here = surrogate.evaluate(residual[None], jacobian[None])
-    _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w, theta)
-    by_covariance = evaluate(t, residual, 0 * jacobian, PHI, w, theta).gradient  # the surrogate's is fixed
+    _, gradient, hessian, *_ = evaluate_one(t, residual, jacobian, PHI, w, theta)
+    by_covariance = evaluate_one(t, residual, 0 * jacobian, PHI, w, theta).gradient  # the surrogate's is fixed
     np.testing.assert_allclose(here.gradient[0], gradient - by_covariance, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
@@ -106,15 +111,17 @@ def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
     moved = np.concatenate([residual[None], residual + 3 * random.normal(size=(40, *residual.shape))])
     value = jax.jit(lambda r: objective(t, r, PHI, w, theta))
     F = np.array([value(jnp.asarray(r)) for r in moved])
-    per_node = solve_nodes(t, residual, PHI, w, theta).nll_per_node
-    weight, answers = node_weights(t, per_node), t.log_weight.shape[1]
+    per_node = solve_nodes(t, *(x[None] for x in (residual, PHI, w, theta))).nll_per_node[0]
+    weight, answers = node_weights(t, per_node[None])[0], t.log_weight.shape[1]
     assert answers > 1
     for gains in range(answers):
         rise = QuadraticSurrogate.of(t, PHI, w, residual, theta, gains).evaluate(moved, np.zeros((*moved.shape, 1))).nll
         p = weight[:, gains] / weight[:, gains].sum()
         above = (p * (per_node[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
         # Priors of φ and w.
-        rest = combine_nodes(t, per_node, PHI, w) + scipy.special.logsumexp(t.log_weight - per_node)
+        rest = combine_nodes(t, per_node[None], PHI[None], w[None])[0] + scipy.special.logsumexp(
+            t.log_weight - per_node
+        )
         assert (above + rest + rise - rise[0] + 1e-9 * np.abs(rise) >= F).all()
 
 
@@ -123,7 +130,9 @@ def test_parabolas_before_a_residual_is_known_are_on_one_scale():
     t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     nothing = np.zeros_like(t.value)
     alike = np.zeros(t.velocity.shape[1])
-    per_node = solve_nodes(t, nothing, PHI, np.ones_like(nothing), alike).nll_per_node - t.log_weight
+    per_node = (
+        solve_nodes(t, *(x[None] for x in (nothing, PHI, np.ones_like(nothing), alike))).nll_per_node[0] - t.log_weight
+    )
     middle = len(per_node) // 2
     for gains in range(per_node.shape[1]):
         found = QuadraticSurrogate.of(t, PHI, gains=gains).evaluate(nothing[None], np.zeros((1, *nothing.shape, 1)))

@@ -75,7 +75,7 @@ class InferenceResult:
         """Standard deviation of the levels beyond noise, other sounds and path, dB: white excess and velocity walk."""
         candidates, table = self.estimate.minima.candidates, self.problem.observed.level
         phi = candidates.level.phi[0]
-        walk = np.exp(2 * phi[4]) * np.trace(walk_covariance(table, candidates.theta[0])) / len(table.velocity)
+        walk = np.exp(2 * phi[4]) * np.trace(walk_covariance(table, candidates.theta[:1])[0]) / len(table.velocity)
         return float(np.sqrt(np.exp(2 * phi[0]) + walk))
 
     def alternative_interval(self, name: str) -> Interval | None:

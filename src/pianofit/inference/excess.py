@@ -58,7 +58,8 @@ def _node(point: TablePoint, log_sigma: float) -> tuple[float, np.ndarray]:
     phi = phi.copy()
     phi[0] = log_sigma
     if log_sigma != point.phi[0]:  # one step of EM: the weights change little with σ
-        w = em_weights(table, evaluate(table, residual, jacobian, phi, w, theta).by_log_w, w)
+        one = evaluate(table, *(x[None] for x in (residual, jacobian, phi, w, theta)))
+        w = em_weights(table, one.by_log_w[0], w)
     found = marginalise_nuisances(table, residual, jacobian, phi, w, theta, others)
     return -found.nll - 0.5 * found.log_det, found.curvature
 

@@ -26,8 +26,9 @@ path. Deviations from the mean do not depend on the path. Before the columns,
 and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N depends on τ, and only S
 on the gains. P depends on the velocities through W, and its derivative by them is part of F's gradient.
 
-The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. The search
-has its derivatives in closed form (derivatives.py).
+The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. All functions
+take many points at once [B, ...]: the matrices of one point are small. The search has its derivatives in closed form
+(derivatives.py).
 """
 
 from __future__ import annotations
@@ -83,18 +84,18 @@ class ObservationTable(NamedTuple):
 
 
 class CovarianceFactors(NamedTuple):
-    """Factors of C at φ and w."""
+    """Factors of C at many φ and w [B, ...]."""
 
-    precision: Values  # P of each partial [K, R, R]; 0 where no partial was detected
-    precision_sum: Values  # P1 [R, K]
-    relative_precision: Values  # P1/D [R, K]
-    walk: Values  # ρ² W [R, R]
-    matern: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [K, K]
-    prior: Values  # A [T, G, K, K]
-    path: Values  # N [T, G, K, K]
-    root: Values  # L⁻¹S [T, M, Q, Q]
-    U: Values  # [T, M, Q, R, K]
-    half_log_det: Values  # ½ log|C| [T, M]
+    precision: Values  # P of each partial [B, K, R, R]; 0 where no partial was detected
+    precision_sum: Values  # P1 [B, R, K]
+    relative_precision: Values  # P1/D [B, R, K]
+    walk: Values  # ρ² W [B, R, R]
+    matern: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [B, K, K]
+    prior: Values  # A [B, T, G, K, K]
+    path: Values  # N [B, T, G, K, K]
+    root: Values  # L⁻¹S [B, T, M, Q, Q]
+    U: Values  # [B, T, M, Q, R, K]
+    half_log_det: Values  # ½ log|C| [B, T, M]
 
 
 def _whitening(x: Values, xp: Space) -> Values:
@@ -111,12 +112,14 @@ def _whitening(x: Values, xp: Space) -> Values:
 
 
 def _inverse(x: Values, xp: Space) -> tuple[Values, Values]:
-    """Inverses of well-conditioned matrices in a stack [K, n, n], and half the sum of their log determinants."""
+    """Inverses of well-conditioned matrices in a stack [B, K, n, n], and half the sums of their log determinants."""
+    if x.shape[-1] == 1:
+        return 1 / x, 0.5 * xp.log(x).sum(axis=(1, 2, 3))
     if xp is np:
-        diagonal = np.diagonal(np.linalg.cholesky(x), axis1=1, axis2=2)
-        return np.linalg.inv(x), np.log(diagonal).sum()
+        diagonal = np.diagonal(np.linalg.cholesky(x), axis1=2, axis2=3)
+        return np.linalg.inv(x), np.log(diagonal).sum(axis=(1, 2))
     whitening = _whitening(x, xp)
-    return xp.swapaxes(whitening, 1, 2) @ whitening, _half_log_det(whitening, xp).sum()
+    return xp.swapaxes(whitening, 2, 3) @ whitening, _half_log_det(whitening, xp).sum(axis=1)
 
 
 def _half_log_det(whitening: Values, xp: Space) -> Values:
@@ -125,157 +128,177 @@ def _half_log_det(whitening: Values, xp: Space) -> Values:
 
 
 def interference_db(table: ObservationTable, phi: Values, xp: Space = np) -> Values:
-    """Standard deviation of a level caused by other sounds, dB [R, K]."""
-    return xp.exp(phi[3]) * INTERFERENCE_DB * table.ratio
+    """Standard deviation of a level caused by other sounds, dB [B, R, K]."""
+    return xp.exp(phi[:, 3, None, None]) * INTERFERENCE_DB * table.ratio
 
 
 def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> Values:
-    """var/w [R, K]; φ = (log σ, log A, log ℓ, log η, log ρ)."""
-    return (table.variance + xp.exp(2 * phi[0]) * table.variance_profile + interference_db(table, phi, xp) ** 2) / w
+    """var/w [B, R, K]; φ = (log σ, log A, log ℓ, log η, log ρ) [B, 5]."""
+    excess = xp.exp(2 * phi[:, 0, None, None]) * table.variance_profile
+    return (table.variance + excess + interference_db(table, phi, xp) ** 2) / w
 
 
 def _matern(table: ObservationTable, phi: Values, xp: Space = np) -> tuple[Values, Values]:
-    """A² M(ℓ) between partials, and its derivative by log ℓ [K, K]."""
-    d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[2])
+    """A² M(ℓ) between partials, and its derivative by log ℓ [B, K, K]."""
+    d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[:, 2, None, None])
     growth = xp.sqrt(table.variance_profile)
-    decay = xp.exp(2 * phi[1] - d) * growth[:, None] * growth
+    decay = xp.exp(2 * phi[:, 1, None, None] - d) * growth[:, None] * growth
     return (1 + d) * decay, d**2 * decay
+
+
+def same_path(table: ObservationTable) -> Values:
+    """1 where two recordings share a path [R, R]."""
+    return table.group @ table.group.T
 
 
 def centring(table: ObservationTable) -> Values:
     """Projection that removes the mean over the recordings of each path [R, R]."""
-    same_path = table.group @ table.group.T
-    return np.eye(len(same_path)) - same_path / same_path.sum(axis=1)
+    same = same_path(table)
+    return np.eye(len(same)) - same / same.sum(axis=1)
 
 
 def walk_covariance(table: ObservationTable, theta: Values, xp: Space = np) -> Values:
-    """W: covariance of a random walk over log velocity without its mean [R, R]; recordings of two paths have none.
+    """W: covariance of a random walk over log velocity without its mean [B, R, R]; 0 between two paths.
 
     The increments of the walk have the variance |log v_r - log v_s|. Without the mean, its start has no effect.
     """
-    log_velocity, centred = table.velocity @ theta, centring(table)
-    distance = xp.abs(log_velocity[:, None] - log_velocity) * (table.group @ table.group.T)
+    log_velocity, centred = theta @ table.velocity.T, centring(table)
+    distance = xp.abs(log_velocity[:, :, None] - log_velocity[:, None]) * same_path(table)
     return -0.5 * centred @ distance @ centred.T
 
 
 def by_partial(blocks: Values, x: Values) -> Values:
-    """Product of one matrix for each partial [K, R, R] and x [n, R, K]."""
-    return (blocks @ x.transpose(2, 1, 0)).transpose(2, 1, 0)
+    """Product of one matrix for each partial [B, K, R, R] and x [B, n, R, K]."""
+    return (blocks @ x.transpose(0, 3, 2, 1)).transpose(0, 3, 2, 1)
+
+
+def flattened(x: Values) -> Values:
+    """The last two axes as one, also of arrays without entries [..., R K]."""
+    return x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
 
 
 def factor_covariance(
     table: ObservationTable, phi: Values, w: Values, theta: Values, xp: Space = np
 ) -> CovarianceFactors:
-    """Factor the covariance at φ, w and the velocities in θ."""
+    """Factor the covariance at φ, w and the velocities in θ [B, ...]."""
     entry_variance = variance(table, phi, w, xp)
-    walk = xp.exp(2 * phi[4]) * walk_covariance(table, theta, xp)
-    root = (table.detected / xp.sqrt(entry_variance)).T
-    inverse, half_log_det = _inverse(xp.eye(len(walk)) + root[:, :, None] * walk * root[:, None, :], xp)
-    half_log_det = half_log_det + 0.5 * (table.detected * xp.log(entry_variance)).sum()
-    precision = root[:, :, None] * inverse * root[:, None, :]
-    precision_sum = precision.sum(axis=2).T
+    walk = xp.exp(2 * phi[:, 4, None, None]) * walk_covariance(table, theta, xp)
+    root = xp.swapaxes(table.detected / xp.sqrt(entry_variance), 1, 2)[..., None]
+    beside = xp.swapaxes(root, 2, 3)
+    inverse, half_log_det = _inverse(xp.eye(walk.shape[-1]) + root * walk[:, None] * beside, xp)
+    half_log_det = half_log_det + 0.5 * (table.detected * xp.log(entry_variance)).sum(axis=(1, 2))
+    precision = root * inverse * beside
+    precision_sum = xp.swapaxes(precision.sum(axis=3), 1, 2)
     total = table.group.T @ precision_sum
     detected = (table.group.T @ table.detected) > 0
-    eye = xp.eye(len(table.distance_octaves))
     matern = _matern(table, phi, xp)
-    prior = table.has_unknown_path[:, None, None] * matern[0] + table.systematic
-    prior = prior + (xp.exp(2 * table.log_tau)[..., None, None] + JITTER) * eye
-    root = xp.where(detected, xp.sqrt(xp.where(detected, total, 1.0)), 0.0)
-    whitening = _whitening(eye + root[:, :, None] * prior * root[:, None, :], xp)
-    half_log_det = half_log_det + _half_log_det(whitening, xp).sum(axis=1)
-    whitening = whitening * root[:, None, :]
-    path = xp.swapaxes(whitening, -1, -2) @ whitening
+    prior, path, of_path = _paths(table, matern[0], xp.where(detected, total, 0.0), xp)
+    half_log_det = half_log_det[:, None] + of_path
     relative = precision_sum / (table.group @ xp.where(detected, total, 1.0))
     p = CovarianceFactors(precision, precision_sum, relative, walk, matern, prior, path, None, None, half_log_det)
 
     size = table.scale.shape[1]
-    columns = before_columns(table, p, table.columns).reshape(len(prior), 1, size, -1)
-    inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
+    columns = flattened(before_columns(table, p, table.columns[None]))[:, :, None]
+    inner = flattened(table.columns) @ xp.swapaxes(columns, -1, -2)
     whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
     root = whitening * table.scale[:, None, :]
-    U = (root @ columns).reshape(*root.shape[:3], *entry_variance.shape)
-    return p._replace(root=root, U=U, half_log_det=half_log_det[:, None] + _half_log_det(whitening, xp))
+    U = (root @ columns).reshape(*root.shape[:4], *entry_variance.shape[1:])
+    return p._replace(root=root, U=U, half_log_det=half_log_det[:, :, None] + _half_log_det(whitening, xp))
+
+
+def _paths(table: ObservationTable, matern: Values, total: Values, xp: Space) -> tuple[Values, Values, Values]:
+    """A and N of every path [B, T, G, K, K], and ½ log|1 + A D| [B, T]; D [B, G, K] is 0 without detected partials."""
+    eye = xp.eye(len(table.distance_octaves))
+    prior = table.has_unknown_path[:, None, None] * matern[:, None] + table.systematic
+    prior = prior[:, None] + (xp.exp(2 * table.log_tau)[..., None, None] + JITTER) * eye
+    # The root of 0 has no derivative.
+    root = xp.where(total > 0, xp.sqrt(xp.where(total > 0, total, 1.0)), 0.0)[:, None, :, None]
+    whitening = _whitening(eye + xp.swapaxes(root, 3, 4) * prior * root, xp)
+    half_log_det = _half_log_det(whitening, xp).sum(axis=2)
+    whitening = whitening * root
+    return prior, xp.swapaxes(whitening, -1, -2) @ whitening, half_log_det
 
 
 def path_mean(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
-    """x̄ of every path [..., G, K] from x [..., R, K]."""
-    return table.group.T @ (p.relative_precision * x)
+    """x̄ of every path [B, n, G, K] from x [B, n, R, K]."""
+    return table.group.T @ (p.relative_precision[:, None] * x)
 
 
 def before_columns(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
-    """C₀⁻¹x [T, n, R, K] of x [n, R, K]."""
+    """C₀⁻¹x [B, T, n, R, K] of x [B, n, R, K], or of the same x [1, n, R, K] for all."""
     mean = path_mean(table, p, x)
-    weighted = (mean.swapaxes(0, 1) @ p.path).swapaxes(1, 2)
-    return by_partial(p.precision, x - table.group @ mean) + p.relative_precision * (table.group @ weighted)
+    weighted = (mean.swapaxes(1, 2)[:, None] @ p.path).swapaxes(2, 3)
+    own = by_partial(p.precision, x - table.group @ mean)
+    return own[:, None] + p.relative_precision[:, None, None] * (table.group @ weighted)
 
 
 class Predicted(NamedTuple):
-    """Paths, walks and columns of entries given all detected partials [T, M, N]."""
+    """Paths, walks and columns of N entries given all detected partials [B, T, M, N]."""
 
     mean: Values
     variance: Values
-    gain: Values  # derivative of path and walk by the residuals, without the columns [T, N, R, K]
-    loading: Values  # ρ: the coefficients' part of each entry, in units of L [T, M, Q, N]
+    gain: Values  # derivative of path and walk by the residuals, without the columns [B, T, N, R, K]
+    loading: Values  # ρ: the coefficients' part of each entry, in units of L [B, T, M, Q, N]
 
 
 def predicted(table: ObservationTable, p: CovarianceFactors, residual: Values, q: Values, at: Values) -> Predicted:
-    """Predict entries `at` [N, 2] from the residual [R, K] and q = U r [T, M, Q]."""
+    """Predict entries `at` [N, 2] from the residual [B, R, K] and q = U r [B, T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
-    group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[1])
-    rows = group[:, :, None] * p.prior[:, :, k]
-    walk = p.walk[r][:, :, None] * same_partial[:, None, :]
-    # Covariance of path and walk of the entries with those of all entries [T, N, R, K].
-    shared = (table.group @ rows.swapaxes(1, 2)) + walk
-    gain = p.relative_precision * (table.group @ (rows @ p.path).swapaxes(1, 2)) + before_columns(table, p, walk)
-    prior = (group * p.prior[:, :, k, k]).sum(axis=1) + p.walk[r, r]
-    remaining = prior - (shared * gain).sum(axis=(2, 3))
-    flat = gain.reshape(*gain.shape[:2], residual.size)
-    columns = flat @ table.columns.reshape(len(table.columns), -1).T
-    loading = p.root @ (table.columns[:, r, k] - columns.swapaxes(1, 2))[:, None]
-    conditional_mean = (flat @ residual.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0]
-    return Predicted(conditional_mean, remaining[:, None] + (loading**2).sum(axis=2), gain, loading)
+    group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[2])
+    rows = group[:, :, None] * p.prior[:, :, :, k]
+    walk = p.walk[:, r][..., None] * same_partial[:, None, :]
+    # Covariance of path and walk of the entries with those of all entries [B, T, N, R, K].
+    shared = (table.group @ rows.swapaxes(2, 3)) + walk[:, None]
+    gain = table.group @ (rows @ p.path).swapaxes(2, 3)
+    gain = p.relative_precision[:, None, None] * gain + before_columns(table, p, walk)
+    prior = (group * p.prior[:, :, :, k, k]).sum(axis=2) + p.walk[:, r, r][:, None]
+    remaining = prior - (shared * gain).sum(axis=(3, 4))
+    flat = flattened(gain)
+    columns = flat @ flattened(table.columns).T
+    loading = p.root @ (table.columns[:, r, k] - columns.swapaxes(2, 3))[:, :, None]
+    conditional_mean = (flat @ flattened(residual)[:, None, :, None])[:, :, None, :, 0]
+    conditional_mean = conditional_mean + (q[..., None, :] @ loading)[..., 0, :]
+    return Predicted(conditional_mean, remaining[:, :, None] + (loading**2).sum(axis=3), gain, loading)
 
 
 class NodeSolutions(NamedTuple):
-    """F at every node without the priors of φ and w, and its parts."""
+    """F at every node without the priors of φ and w, and its parts, at many points."""
 
-    nll_per_node: Values  # F [T, M]
+    nll_per_node: Values  # F [B, T, M]
     factors: CovarianceFactors
-    precision_residual: Values  # C⁻¹r [T, M, R, K]
-    q: Values  # U r [T, M, Q]
+    precision_residual: Values  # C⁻¹r [B, T, M, R, K]
+    q: Values  # U r [B, T, M, Q]
     censored: Predicted
-    standardised: Values  # bound minus mean of the censored entries, in standard deviations [T, M, N]
+    standardised: Values  # bound minus mean of the censored entries, in standard deviations [B, T, M, N]
     conditional_sd: Values  # these standard deviations, dB
 
 
 def solve_nodes(
     table: ObservationTable, residual: Values, phi: Values, w: Values, theta: Values, xp: Space = np
 ) -> NodeSolutions:
-    """F at every node, and its parts."""
+    """F at every node, and its parts, at residuals [B, R, K], φ [B, 5], w [B, R, K] and θ [B, n]."""
     p = factor_covariance(table, phi, w, theta, xp)
-    before = before_columns(table, p, residual[None])[:, 0]
-    U = p.U.reshape(*p.U.shape[:3], -1)
-    q = U @ residual.reshape(-1)
-    precision_residual = before[:, None] - (q[:, :, None] @ U).reshape(*q.shape[:2], *residual.shape)
-    mean = path_mean(table, p, residual)
-    deviation = (residual - table.group @ mean)[None]
-    square = (by_partial(p.precision, deviation) * deviation).sum()
-    square = square + ((mean[:, None] @ p.path)[:, :, 0] * mean).sum(axis=(1, 2))
+    before = before_columns(table, p, residual[:, None])[:, :, 0]
+    U = flattened(p.U)
+    q = (U @ flattened(residual)[:, None, None, :, None])[..., 0]
+    precision_residual = before[:, :, None] - (q[..., None, :] @ U).reshape(*q.shape[:3], *residual.shape[1:])
+    # rᵀC₀⁻¹r and qᵀq
+    square = (before * residual[:, None]).sum(axis=(2, 3))[:, :, None] - (q**2).sum(axis=3)
     at = table.censored
     censored = predicted(table, p, residual, q, at)
-    entry_variance = variance(table, phi, xp.ones_like(residual), xp)
-    sd = xp.sqrt(censored.variance + entry_variance[at[:, 0], at[:, 1]])
-    standardised = (residual[at[:, 0], at[:, 1]] - censored.mean) / sd
-    log_below = (log_ndtr if xp is np else jax_log_ndtr)(standardised).sum(axis=2)
-    nll_per_node = 0.5 * (square[:, None] - (q**2).sum(axis=2)) + p.half_log_det - log_below
+    entry_variance = variance(table, phi, xp.ones_like(residual), xp)[:, at[:, 0], at[:, 1]]
+    sd = xp.sqrt(censored.variance + entry_variance[:, None, None])
+    standardised = (residual[:, at[:, 0], at[:, 1]][:, None, None] - censored.mean) / sd
+    log_below = (log_ndtr if xp is np else jax_log_ndtr)(standardised).sum(axis=3)
+    nll_per_node = 0.5 * square + p.half_log_det - log_below
     return NodeSolutions(nll_per_node, p, precision_residual, q, censored, standardised, sd)
 
 
 def node_weights(table: ObservationTable, nll_per_node: Values) -> Values:
-    """Posterior weight of each node [T, M]."""
+    """Posterior weight of each node [B, T, M]."""
     weight = table.log_weight - nll_per_node
-    weight = np.exp(weight - weight.max())
-    return weight / weight.sum()
+    weight = np.exp(weight - weight.max(axis=(1, 2), keepdims=True))
+    return weight / weight.sum(axis=(1, 2), keepdims=True)
 
 
 def pointwise(
@@ -287,23 +310,24 @@ def pointwise(
     r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
     over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
-    s = solve_nodes(table, residual, phi, w, theta, xp)
+    s = solve_nodes(table, *(x[None] for x in (residual, phi, w, theta)), xp)
     p, detected = s.factors, table.detected > 0
-    path, own = xp.diagonal(p.path, axis1=2, axis2=3), xp.diagonal(p.precision, axis1=1, axis2=2).T
-    inverse = (table.group @ path) * p.relative_precision**2 + own - p.precision_sum * p.relative_precision
-    inverse = xp.where(detected, inverse[:, None] - (p.U**2).sum(axis=2), 1.0)
+    path, own = xp.diagonal(p.path, axis1=3, axis2=4), xp.swapaxes(xp.diagonal(p.precision, axis1=2, axis2=3), 1, 2)
+    own = own - p.precision_sum * p.relative_precision
+    inverse = (table.group @ path) * p.relative_precision[:, None] ** 2 + own[:, None]
+    inverse = xp.where(detected, inverse[:, :, None] - (p.U**2).sum(axis=3), 1.0)
     density = 0.5 * (xp.log(inverse / (2 * np.pi)) - s.precision_residual**2 / inverse)
     log_below = (log_ndtr if xp is np else jax_log_ndtr)(s.standardised)
-    log_weight = table.log_weight - s.nll_per_node - log_below.sum(axis=2)
-    log_weight = log_weight - _log_sum(log_weight, xp)
-    density = -_log_sum(log_weight[:, :, None, None] - density, xp)
-    return xp.where(detected, density, 0.0), _log_sum(log_weight[:, :, None] + log_below, xp)
+    log_weight = table.log_weight - s.nll_per_node - log_below.sum(axis=3)
+    log_weight = log_weight - _log_sum(log_weight, xp)[:, None, None]
+    density = -_log_sum(log_weight[..., None, None] - density, xp)[0]
+    return xp.where(detected, density, 0.0), _log_sum(log_weight[..., None] + log_below, xp)[0]
 
 
 def _log_sum(x: Values, xp: Space) -> Values:
-    """Logarithm of the sum of exponentials over the nodes, the first two axes."""
-    largest = x.max(axis=(0, 1))
-    return largest + xp.log(xp.exp(x - largest).sum(axis=(0, 1)))
+    """Logarithm of the sum of exponentials over the nodes, the second and third axes."""
+    largest = x.max(axis=(1, 2), keepdims=True)
+    return largest[:, 0, 0] + xp.log(xp.exp(x - largest).sum(axis=(1, 2)))
 
 
 def objective(
@@ -315,14 +339,15 @@ def objective(
     xp: Space = jnp,
 ) -> Values:
     """F at a residual at θ: y - model where a partial is detected, bound - model where it is censored."""
-    return combine_nodes(table, solve_nodes(table, residual, phi, w, theta, xp).nll_per_node, phi, w, xp)
+    residual, phi, w, theta = (x[None] for x in (residual, phi, w, theta))
+    return combine_nodes(table, solve_nodes(table, residual, phi, w, theta, xp).nll_per_node, phi, w, xp)[0]
 
 
 def combine_nodes(table: ObservationTable, nll_per_node: Values, phi: Values, w: Values, xp: Space = np) -> Values:
-    """F from its values at every node [T, M]."""
+    """F [B] from its values at every node [B, T, M]."""
     mean, sd = table.prior
-    mixture = 0.5 * table.degrees_of_freedom * (table.detected * (w - 1 - xp.log(w))).sum()
-    return mixture - _log_sum(table.log_weight - nll_per_node, xp) + 0.5 * (((phi - mean) / sd) ** 2).sum()
+    mixture = 0.5 * table.degrees_of_freedom * (table.detected * (w - 1 - xp.log(w))).sum(axis=(1, 2))
+    return mixture - _log_sum(table.log_weight - nll_per_node, xp) + 0.5 * (((phi - mean) / sd) ** 2).sum(axis=1)
 
 
 def em_weights(table: ObservationTable, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from .batched_model import LevelModel, Residuals, StringModel, thread_pool
-from .derivatives import Evaluation, dense_inverse, evaluate_batch
+from .derivatives import Evaluation, dense_inverse, evaluate
 from .likelihood import ObservationTable, em_weights, node_weights, solve_nodes
 from .parametrisation import STRING_SIZE
 from .problem import FitProblem
@@ -108,7 +108,7 @@ class TableTerm(NamedTuple):
         self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, theta: np.ndarray
     ) -> Evaluation:
         """F and its derivatives [B, ...]."""
-        return evaluate_batch(self.table, residual, jacobian, phi, w, theta)
+        return evaluate(self.table, residual, jacobian, phi, w, theta)
 
     def enter(self, state: TableState, theta: np.ndarray, sigma_floor: float) -> TableState:
         """Evaluate a state of any objective, with φ moved into its range."""
@@ -177,8 +177,9 @@ class QuadraticSurrogate(NamedTuple):
         ones = np.ones_like(table.value)
         residuals, weights = 0 * ones if residual is None else residual, ones if w is None else w
         velocities = np.zeros(table.velocity.shape[1]) if theta is None else theta
-        nodes = solve_nodes(table, residuals, phi, weights, velocities)
-        weight = node_weights(table, nodes.nll_per_node)
+        nodes = solve_nodes(table, *(x[None] for x in (residuals, phi, weights, velocities)))
+        nll_per_node = nodes.nll_per_node[0]
+        weight = node_weights(table, nodes.nll_per_node)[0]
         if residual is None:
             weight = np.zeros_like(weight)
             weight[len(weight) // 2] = 1.0
@@ -188,8 +189,8 @@ class QuadraticSurrogate(NamedTuple):
             selected[:, gains] = weight[:, gains] + np.finfo(float).tiny
             weight = selected / selected.sum()
         at = np.flatnonzero(np.asarray(table.detected))
-        constant = float((weight * (nodes.nll_per_node - table.log_weight)).sum()) if residual is None else 0.0
-        return cls(table, np.tensordot(weight, dense_inverse(table, nodes.factors), 2)[np.ix_(at, at)], at, constant)
+        constant = float((weight * (nll_per_node - table.log_weight)).sum()) if residual is None else 0.0
+        return cls(table, np.tensordot(weight, dense_inverse(table, nodes.factors)[0], 2)[np.ix_(at, at)], at, constant)
 
     def dense(self) -> np.ndarray:
         """Q of all entries, 0 for entries that are not detected [R, K, R, K]."""
