@@ -166,9 +166,23 @@ def test_the_hammer_is_found_without_an_error_of_the_steps():
     assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
     assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
     assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
-    u = np.exp(problem().parametrisation.log_reference_compression)
+    u = problem().parametrisation.reference_compression
     assert np.exp(theta[problem().parametrisation.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
+
+
+@pytest.mark.parametrize("felt", ["hunt-crossley", "soft-skin"])
+def test_the_searched_force_is_that_of_the_felt_at_the_reference_compression(felt):
+    u = build_problem([tone()], [played()], replace(setup(), felt=felt)).parametrisation
+    theta = u.project(u.mean + 0.3 * np.random.default_rng(0).normal(size=u.size))
+    hammer, force = u.hammer(theta, 0), u.force_and_exponent_index[0]
+    assert u.law.force(u.reference_compression, 0.0, hammer) == pytest.approx(np.exp(theta[force]), rel=1e-12)
+    np.testing.assert_allclose(u.from_log_values(u.log_values(theta)), theta, rtol=1e-13)
+    step = 1e-6 * np.eye(u.size)
+    differences = (u.log_values(theta + step) - u.log_values(theta - step)).T / 2e-6
+    np.testing.assert_allclose(u.tangent(theta), differences, atol=1e-7)
+    change = u.from_log_values(u.log_values(theta) + step)[:, force] - theta[force]
+    np.testing.assert_allclose(u.force_direction(theta)[: u.shared], change[: u.shared] / 1e-6, atol=1e-4)
 
 
 def test_on_the_edge_of_K_H_the_force_follows_p():
@@ -180,7 +194,7 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     assert not u.at_bound(one.theta)[p]
     cov = one.posterior.covariance[0]
     assert not cov[force].any()
-    slope = np.exp(one.theta[p]) * u.log_reference_compression
+    slope = np.exp(one.theta[p]) * np.log(u.reference_compression)
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
     first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
     assert first.sd(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from keyword import iskeyword
+from types import SimpleNamespace
 from typing import Any
 
 from ..errors import ParameterError
@@ -47,8 +48,9 @@ class FeltLaw:
     storage : `storage(u, hammer)`, J: the energy that the felt can return. If it is given, hammers whose felt returns
         more are rejected.
     slow : `slow(u, hammer)`, N: force of a relaxing felt in slow compression.
-    power : names of K and p if the force has the factor K u^p. A fit then searches the force K u_ref^p in place of K,
-        whose unit depends on p.
+    power : names of K and p if the force has the factor K u^p, or K g^p with another base g. A fit then searches the
+        static force at a reference compression in place of K, whose unit depends on p.
+    base : `base(u, hammer)`, m: the base g, if it is not the compression.
     hammers, columns : only for laws of this package, which share a solver: type of their hammers, and order of the
         parameters of a fit.
     formula : the law for the page of a fit, one equation per string, in the subset of TeX that a page typesets.
@@ -76,6 +78,7 @@ class FeltLaw:
     storage: Callable[..., Any] | None = None
     slow: Callable[[Any, Any], Any] | None = None
     power: tuple[str, str] | None = None
+    base: Callable[[Any, Any], Any] | None = None
     hammers: Any = None
     columns: tuple[str, ...] = ()
     formula: tuple[str, ...] = ()
@@ -127,6 +130,10 @@ class FeltLaw:
         pattern = r"(?<![A-Za-z])(?:N|kg)(?:\^(-?[\d.]+))?(?![A-Za-z^])"
         total = sum(float(x or 1) for x in re.findall(pattern, upper))
         return total - sum(float(x or 1) for x in re.findall(pattern, "/".join(lower)))
+
+    def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
+        """Return the base of the power, m, at compression `u`, m, of a felt with these `values`."""
+        return u if self.base is None else self.base(u, SimpleNamespace(**values))
 
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
         """Return a hammer with these `values`; fields of its type that the law does not have are `absent`."""

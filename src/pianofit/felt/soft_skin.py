@@ -20,9 +20,14 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 
 
+def base(u: Any, felt: Any) -> Any:
+    """g, m, at compression `u`, m."""
+    return u * u / (u + felt.skin)
+
+
 def static_force(u: Any, felt: Any) -> Any:
     """Static felt force, N, at compression `u`, m."""
-    return felt.K_H * (u * u / (u + felt.skin)) ** felt.p
+    return felt.K_H * base(u, felt) ** felt.p
 
 
 def force(u: Any, w: Any, felt: Any) -> Any:
@@ -45,6 +50,7 @@ SOFT_SKIN = FeltLaw(
     force,
     storage,
     power=("K_H", "p"),
+    base=base,
     formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + d)"),
 )
 LAWS = (SOFT_SKIN,)

@@ -47,10 +47,12 @@ def _level(
     c, *rest = jnp.exp(log_string)
     string = String(c * jnp.exp2(cents / 1200), *rest)
     logs = dict(zip((*cfg.law.columns, "v_H0"), stroke, strict=True))
-    if cfg.law.power:
-        stiffness, p = cfg.law.power
-        logs[stiffness] = logs[stiffness] - jnp.exp(logs[p]) * inputs.log_u
     values = {name: jnp.exp(log) for name, log in logs.items()}
+    if cfg.law.power:  # the entry is the force at the reference compression, unless that is 0
+        stiffness, p = cfg.law.power
+        u = inputs.reference_compression
+        base = jnp.log(cfg.law.power_base(jnp.where(u > 0, u, 1.0), values))
+        values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, values[p] * base, 0.0))
     hammer = cfg.law.make_hammer(values, jnp.zeros_like(values["v_H0"]))
     strike_position, width = values["x0"], values["width"]
     geometry = inputs.geometry._replace(strike_position=strike_position, width=width)

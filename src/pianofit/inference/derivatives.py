@@ -203,8 +203,8 @@ def _by_variance(point: _Points) -> tuple[np.ndarray, np.ndarray]:
         through_mean = _through_mean(point, sensitivity)
         detected -= _summed(weight, through_mean * s.precision_residual)
         detected += _summed(weight[..., None] * point.by_variance, sensitivity**2)
-        r, k = table.censored.T
-        np.add.at(censored, (slice(None), r, k), _summed(weight, point.by_variance))
+        r, k = table.censored.T  # each entry once
+        censored[:, r, k] = _summed(weight, point.by_variance)
     return detected, censored
 
 

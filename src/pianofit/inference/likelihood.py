@@ -26,9 +26,9 @@ path. Deviations from the mean do not depend on the path. Before the columns,
 and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N depends on τ, and only S
 on the gains. P depends on the velocities through W, and its derivative by them is part of F's gradient.
 
-The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. All functions
-take many points at once [B, ...]: the matrices of one point are small. The search has its derivatives in closed form
-(derivatives.py).
+The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. Functions
+take many points at once [B, ...], because the matrices of one point are small. The search has its derivatives in closed
+form (derivatives.py).
 """
 
 from __future__ import annotations
@@ -310,7 +310,7 @@ def pointwise(
     r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
     over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
-    s = solve_nodes(table, *(x[None] for x in (residual, phi, w, theta)), xp)
+    s = solve_nodes(table, residual[None], phi[None], w[None], theta[None], xp)
     p, detected = s.factors, table.detected > 0
     path, own = xp.diagonal(p.path, axis1=3, axis2=4), xp.swapaxes(xp.diagonal(p.precision, axis1=2, axis2=3), 1, 2)
     own = own - p.precision_sum * p.relative_precision

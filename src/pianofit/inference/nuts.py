@@ -22,6 +22,7 @@ from jaxtyping import Array
 
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
+from ..felt import FeltLaw
 from ..io.table_output import require_optional
 from ..x64 import float64, x64_scope
 from .batched_model import (
@@ -34,7 +35,7 @@ from .batched_model import (
 from .laplace import HYPER, Estimate, Interval, IntervalResult, ObservedValues, unbounded_warnings
 from .likelihood import ObservationTable, objective, pointwise
 from .objective import HYPER_REACH
-from .parametrisation import STRING_SIZE
+from .parametrisation import STRING_SIZE, names_of
 from .problem import FitProblem, ModelInputs, StaticConfig
 
 # R-hat compares chains with each other, and four show more than two. Warm-up adapts step and metric. The draws leave
@@ -140,7 +141,7 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
 
     def draw(state: Any, key):
         state, info = step(key, state)
-        theta = reflect_into_bounds(at, state.position.whitened)
+        theta = reflect_into_bounds(at, state.position.whitened, cfg.law)
         likelihoods = log_likelihood(at, state.position, cfg)
         return state, (theta, info.acceptance_rate, info.is_divergent, info.num_integration_steps, *likelihoods)
 
@@ -200,8 +201,8 @@ class DensityContext(NamedTuple):
     theta: Any  # [size]
     root: Any  # from whitened coordinates to θ [size, free]
     bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
-    power: Any  # index of the force and of the exponent; None for a law without a power
-    log_u: Any
+    power: Any  # index of the force and of the exponent; None if a fit does not search a force
+    reference_compression: Any  # m
     prior: tuple[Any, Any]  # mean and precision [size]
     tables: tuple[ObservationTable, ...]
     phi: tuple[Any, ...]
@@ -228,7 +229,7 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         _whitening_root(problem, estimate),
         (u.lower, u.upper),
         u.force_and_exponent_index,
-        u.log_reference_compression,
+        u.reference_compression,
         (u.mean, u.precision),
         tables,
         tuple(phi[0] for phi in best.phi),
@@ -266,7 +267,7 @@ def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     return root
 
 
-def reflect_into_bounds(at: DensityContext, whitened):
+def reflect_into_bounds(at: DensityContext, whitened, law: FeltLaw):
     """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
     free = (at.root != 0).any(axis=1)
     theta = at.theta + at.root @ whitened
@@ -278,7 +279,8 @@ def reflect_into_bounds(at: DensityContext, whitened):
     if at.power is None:
         return reflected
     i, p = at.power
-    shift = jnp.exp(reflected[p]) * at.log_u
+    values = {name: jnp.exp(log) for name, log in zip(names_of(law), reflected, strict=False)}
+    shift = jnp.exp(reflected[p]) * jnp.log(law.power_base(at.reference_compression, values))
     force = _reflect(theta[i], lower[i] + shift, upper[i] + shift)
     return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
 
@@ -329,7 +331,7 @@ def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple
 
 def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
     """θ, whether contacts ended, and the arguments of `objective` for every table."""
-    theta = reflect_into_bounds(at, point.whitened)
+    theta = reflect_into_bounds(at, point.whitened, cfg.law)
     entries = theta
     if at.scaling is not None:
         entries = theta - _size_changes(at, theta) @ at.scaling[0]

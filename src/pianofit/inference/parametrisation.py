@@ -1,9 +1,10 @@
 """The parameters of a fit as logarithms: string, felt, hammer and contact, then the velocity of every stroke.
 
-If the felt law has a power, its stiffness is searched as the static force at a reference compression, F = K_H u_ref^p.
-Strokes determine the force where they compress the felt. K_H alone, whose unit changes with p, trades off against p.
-All other parameters of a law are logarithms of their values. No stroke is special: without a measured velocity, the
-scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction of the prior.
+If the felt law has a power, its stiffness is searched as the static force at a reference compression, F = K_H g^p. The
+base g of the power is u_ref, unless the law has another. Strokes determine the force where they compress the felt. K_H
+alone, whose unit changes with p, trades off against p. All other parameters of a law are logarithms of their values. No
+stroke is special: without a measured velocity, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction
+of the prior. Lengths of a law scale with s.
 
 Sizes that were given with a standard deviation follow the velocities. The model always computes with the given length
 and mass. The two scalings of a string (docs/model.md) make this exact: a string of another length sounds the same if
@@ -45,7 +46,7 @@ class Parametrisation:
     sd: np.ndarray  # 0: fixed at the mean
     lower: np.ndarray  # bounds of the values' logarithms, so of K_H in place of the force
     upper: np.ndarray
-    log_reference_compression: float  # log of the reference compression, m
+    reference_compression: float  # of the searched force, m; 0 if the stiffness is searched, or given
     geometry: Geometry  # strike position and contact width are parameters
     law: FeltLaw
     sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
@@ -72,7 +73,9 @@ class Parametrisation:
     @cached_property
     def force_and_exponent_index(self) -> tuple[int, int] | None:
         """Index of the force at the reference compression, in place of the stiffness, and of the exponent."""
-        return None if self.law.power is None else (self.index_of(self.law.power[0]), self.index_of(self.law.power[1]))
+        if self.law.power is None or not self.reference_compression:
+            return None
+        return self.index_of(self.law.power[0]), self.index_of(self.law.power[1])
 
     @cached_property
     def reported(self) -> tuple[str, ...]:
@@ -130,7 +133,7 @@ class Parametrisation:
         return jacobian * self.free
 
     def _shift(self, theta: np.ndarray) -> np.ndarray:
-        """θ minus the log values [..., size]: p log u_ref for the force, -Σ g δ for values that were not given.
+        """θ minus the log values [..., size]: p log g(u_ref) for the force, -Σ g δ for values that were not given.
 
         θ and log values have the same p and sizes.
         """
@@ -139,8 +142,13 @@ class Parametrisation:
             shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            shift[..., force] += np.exp(theta[..., p]) * self.log_reference_compression
+            shift[..., force] += np.exp(theta[..., p]) * self._log_base(theta)
         return shift
+
+    def _log_base(self, theta: np.ndarray) -> np.ndarray:
+        """log g(u_ref), the logarithm of the base of the felt's power at the reference compression [...]."""
+        values = {name: np.exp(theta[..., self.index_of(name)]) for name in self.law.parameters}
+        return np.log(self.law.power_base(self.reference_compression, values))
 
     def log_values(self, theta: np.ndarray) -> np.ndarray:
         """`theta` with log K_H in place of the force [..., size]."""
@@ -159,17 +167,23 @@ class Parametrisation:
         out = np.zeros((*theta.shape, self.size))
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            out[..., force, p] = np.exp(theta[..., p]) * self.log_reference_compression
+            exponent = np.exp(theta[..., p])
+            for name in self.law.parameters if self.law.base else ():
+                # A derivative by the imaginary part of one function value is exact to rounding.
+                step = 1e-30j * np.eye(self.size)[self.index_of(name)]
+                out[..., force, self.index_of(name)] = exponent * np.imag(self._log_base(theta + step)) / 1e-30
+            out[..., force, p] += exponent * self._log_base(theta)
         if self.sizes:
             out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 
     def force_direction(self, theta: np.ndarray) -> np.ndarray:
-        """Change of the log values by which log F(u_ref) = log K_H + p log u_ref changes [size]."""
+        """Change of the log values by which log F(u_ref) = log K_H + p log g(u_ref) changes [size]."""
         direction = np.zeros(self.size)
         if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            direction[force], direction[p] = 1.0, self._shift(theta)[force]
+            felt = [self.index_of(name) for name in self.law.parameters]
+            direction[felt] = self._shift_slopes(theta)[self.force_and_exponent_index[0], felt]
+            direction[self.force_and_exponent_index[0]] = 1.0
         return direction
 
     def value(self, name: str, log: float) -> float:

@@ -61,7 +61,7 @@ class ModelInputs(NamedTuple):
 
     geometry: Geometry  # strike position and width are those of the stroke
     rate: Any  # of the contact, Hz
-    log_u: Any  # log of the reference compression, m
+    reference_compression: Any  # of the searched force, m; 0 if the stiffness is an entry itself
     steps: Any  # maximum steps of a contact, a multiple of 32
     free: Any  # int, entries of a stroke for derivatives; -1 for a direction without effect [directions]
 
@@ -241,16 +241,16 @@ def _model(
     geometry, law = start.geometry, start.law
     string = String(*(start.values[n] for n in STRING_NAMES))
     first = simulate(string, start.reference_hammer._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
-    # A given stiffness is fixed as it is: at a reference compression of 1 m it is the force.
+    # A given stiffness is fixed as it is.
     fixed = law.power is None or law.power[0] in start.fixed
-    log_u = 0.0 if fixed else float(np.log(reference_compression(midi_of(string.c / (2 * geometry.length)))))
-    unknowns = _parametrisation(start, measured, log_u)
+    u_ref = 0.0 if fixed else reference_compression(midi_of(string.c / (2 * geometry.length)))
+    unknowns = _parametrisation(start, measured, u_ref)
     round_trip = 2 * geometry.strike_position / string.c
     contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)
     free = np.append(np.flatnonzero(unknowns.moving[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
-    inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)
+    inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(u_ref), np.int64(steps), free)
     return unknowns, inputs, StaticConfig(max(first.modes.pole.shape[0], rows), rows, start.quantity, law)
 
 
@@ -268,7 +268,7 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def _parametrisation(start: InitialValues, measured: Sequence[float | None], log_u: float) -> Parametrisation:
+def _parametrisation(start: InitialValues, measured: Sequence[float | None], u_ref: float) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
     names, sizes = names_of(law), tuple(name for name in SIZES if name in start.relative_sd)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
@@ -284,9 +284,9 @@ def _parametrisation(start: InitialValues, measured: Sequence[float | None], log
     sd = np.array(sd + [start.relative_sd[name] for name in sizes])
     lower, upper = _bounds(start, names, len(measured), len(sizes))
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
-    if law.power is not None:  # the force is searched
+    if law.power is not None and u_ref:  # the force is searched
         stiffness, exponent = law.power
-        mean[names.index(stiffness)] += values[exponent] * log_u
+        mean[names.index(stiffness)] += values[exponent] * np.log(law.power_base(u_ref, values))
     # A fitted width is an effective one, with the given width only as the centre of its prior.
     given = [start.fixed.get(n) == "fixed" and (n != "width" or start.unknown_path) for n in names]
     given = np.array([*given, *(v is not None for v in measured)])
@@ -296,7 +296,7 @@ def _parametrisation(start: InitialValues, measured: Sequence[float | None], log
     for row, size in enumerate(sizes):
         exponents[row, : len(names)] = [scaling.get(size, {}).get(name, 0.0) for name in names]
     exponents *= given | (sd > 0)  # an assumed value, such as the contact width, is fixed as it is
-    return Parametrisation(mean, sd, lower, upper, log_u, geometry, law, sizes, exponents, given)
+    return Parametrisation(mean, sd, lower, upper, u_ref, geometry, law, sizes, exponents, given)
 
 
 def _bounds(start: InitialValues, names: Sequence[str], strokes: int, sizes: int) -> tuple[np.ndarray, np.ndarray]:

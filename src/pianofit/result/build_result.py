@@ -29,6 +29,7 @@ from ..schema.fit import (
 from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
+from .derived import scale_velocity
 from .derived_table import derived_quantities, with_force_interval
 from .draws import Draws
 from .estimates import invariants, parameters, stroke_velocities
@@ -169,10 +170,11 @@ def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
     strokes = {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
     table |= {name: draws[own] / drawn("v_H0") for name, own in strokes.items() if own in draws}
     if "F/M_S" in record.invariants:
-        stiffness, p = (drawn(u.names[i]) for i in u.force_and_exponent_index or ())
-        # At the reference velocity shown. If a common scale s of the velocities is unknown: K_H s^(1-p), s v.
+        # At the reference velocity shown, if a common scale of the velocities is unknown.
         scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
-        table["F/M_S"] = stiffness * scale ** (1 - p) * np.exp(p * u.log_reference_compression) / mass
+        felt = scale_velocity({name: drawn(name) for name in u.law.parameters}, u.law, scale)
+        stiffness, p = (felt[u.names[i]] for i in u.force_and_exponent_index or ())
+        table["F/M_S"] = stiffness * u.law.power_base(u.reference_compression, felt) ** p / mass
     varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
     return Draws({**draws, **varying}, tuple(varying), view.log_likelihood, view.observed)
 

@@ -264,7 +264,8 @@ def scale_velocity(values: Mapping[str, Any], law: FeltLaw, s: Any) -> dict[str,
         return {**values}
     stiffness, exponent = law.power
     scaled[stiffness] = values[stiffness] * s ** (1 - values[exponent])
-    scaled |= {name: values[name] / s for name, own in law.parameters.items() if own.unit == "s/m"}
+    powers = {"s/m": -1, "m": 1}
+    scaled |= {n: values[n] * s ** powers[own.unit] for n, own in law.parameters.items() if own.unit in powers}
     return {**values, **scaled}
 
 

@@ -128,11 +128,16 @@ def _gaussian(fit: Fit, law: FeltLaw, minimum: Minimum, standard: np.ndarray) ->
     if not power or not covariance.matrix[power[0], power[0]] > 0:  # a given K_H is fixed
         return mean + standard @ _root(covariance.matrix).T
     stiffness, exponent = power
-    log_u = np.log(1e-3 * fit.derived.reference_compression_mm)
-    to_search = np.eye(len(names))  # d log F = d log K_H + p log(u_ref) d log p
-    to_search[stiffness, exponent] = np.exp(mean[exponent]) * log_u
+
+    def over_stiffness(log: np.ndarray) -> np.ndarray:
+        """log F(u_ref) - log K_H from logarithms [..., names]."""
+        values = {name: np.exp(log[..., names.index(name)]) for name in law.parameters if name in names}
+        return np.exp(log[..., exponent]) * np.log(law.power_base(1e-3 * fit.derived.reference_compression_mm, values))
+
+    to_search = np.eye(len(names))  # d log F = d log K_H + its derivatives by the other parameters, by a complex step
+    to_search[stiffness] += np.imag(over_stiffness(mean + 1e-30j * np.eye(len(names)))) / 1e-30
     log = mean + standard @ _root(to_search @ covariance.matrix @ to_search.T).T
-    log[:, stiffness] -= (np.exp(log[:, exponent]) - np.exp(mean[exponent])) * log_u
+    log[:, stiffness] -= over_stiffness(log) - over_stiffness(mean)
     return log
 
 

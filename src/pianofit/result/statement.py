@@ -150,4 +150,4 @@ def best_combination(fit: InferenceResult, a: str, b: str) -> str:
 
 def felt_force_name(u: Parametrisation) -> str:
     """The name of the force that a fit searches, with its compression."""
-    return f"static felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm"
+    return f"static felt force at {1e3 * u.reference_compression:.3g} mm"

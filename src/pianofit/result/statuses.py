@@ -131,9 +131,7 @@ def force_direction(fit: InferenceResult) -> np.ndarray | None:
     u, place = fit.problem.parametrisation, fit.problem.parametrisation.force_and_exponent_index
     if place is None or not u.free[place[0]] or u.given[place[0]]:
         return None
-    direction = np.zeros(u.size)
-    direction[place[0]] = 1.0
-    direction[place[1]] = float(np.exp(fit.estimate.theta[place[1]])) * u.log_reference_compression
+    direction = u.force_direction(fit.estimate.theta)
     if "M_S" in u.sizes:
         direction[u.index_of("M_S")] = -1.0
     return direction

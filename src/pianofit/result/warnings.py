@@ -88,7 +88,7 @@ def literature_warnings(fit: InferenceResult) -> list[str]:
         if abs(deviations) < LITERATURE_Z:
             continue
         is_force = bool(u.force_and_exponent_index) and i == u.force_and_exponent_index[0]
-        label = f"the felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm" if is_force else name
+        label = f"the felt force at {1e3 * u.reference_compression:.3g} mm" if is_force else name
         unit = "N" if is_force else unit_of(name, u.law)
         low, value, high = np.exp([u.mean[i] - HALF_WIDTH_95 * u.sd[i], theta[i], u.mean[i] + HALF_WIDTH_95 * u.sd[i]])
         lines.append(
