@@ -80,7 +80,7 @@ def setup(**more) -> Setup:
     g = GEOMETRY
     data = {
         "string": {"length": g.length, "mass": g.mass}, "strike": {"position": g.strike_position, "width": g.width},
-        "pickup": {"quantity": "velocity", "position": g.pickup, "scale": SCALE},
+        "pickup": {"quantity": "velocity", "position": g.pickup, "scale": SCALE}, "felt": {"law": "hunt-crossley"},
     }  # fmt: skip
     return Setup.from_dict(data | more, "here")
 

@@ -54,7 +54,7 @@ CENTS = np.array([0.0, 3.0, -2.0])
 
 def inputs(free: tuple[int, ...] = ()) -> ModelInputs:
     size = Geometry(*map(np.float64, GEOMETRY))
-    return ModelInputs(size, np.float64(RATE), np.float64(LOG_U), np.int64(STEPS), np.array(free, int))
+    return ModelInputs(size, np.float64(RATE), np.float64(np.exp(LOG_U)), np.int64(STEPS), np.array(free, int))
 
 
 def cfg(quantity: str = "velocity", law: FeltLaw = LAW) -> StaticConfig:

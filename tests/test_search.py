@@ -28,6 +28,7 @@ from pianofit.inference.objective import Objective, QuadraticSurrogate
 from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
 from pianofit.literature import preset
 from pianofit.model import simulate
+from pianofit.parameters import FIT_NAMES
 from pianofit.recording.recording import recording_from_samples
 from pianofit.result import build_result
 from pianofit.setup import Setup
@@ -309,7 +310,7 @@ def test_a_misspelt_recording_of_the_setup_is_told(file, near):
 
 
 def test_where_everything_is_known_nothing_is_left_to_fit():
-    known = dict(zip(("c", "kappa", "b1", "b2"), map(float, STRING), strict=True)) | HAMMER._asdict()
+    known = dict(zip(FIT_NAMES, map(float, (*STRING, *HAMMER)), strict=False))
     with pytest.raises(FitError, match=r"\[fixed\]"):
         build_problem([tone()], [played()], setup(pickup={"quantity": "pressure"}, fixed=known))
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .errors import ParameterError, check_range
-from .felt import law_of
+from .felt import plain_law
 from .io.files import PEAK_LIMIT
 from .literature import preset
 from .model import Simulation, simulate
@@ -139,14 +139,14 @@ def demo_recording(noise_db: float | None = 60.0, seed: int = 0) -> SyntheticRec
     note = stroke.waveform(rate, 3 * rate) / scale
     samples = np.pad(note, (lead, 0)) + _noise(note, noise_db, seed, rate, lead)
     setup = setup_of(final.hammer, final.geometry, "velocity", scale, "synthetic.wav")
-    setup = replace(setup, initial=_values(initial.string, initial.hammer), recordings=(), felt=None)
+    setup = replace(setup, initial=_values(initial.string, initial.hammer), recordings=())
     true = _values(final.string, final.hammer)
     return SyntheticRecording(samples, rate, lead, scale, setup, true, stroke, "synthetic.wav")
 
 
 def _values(string: String, hammer: Any) -> dict[str, float]:
     """The parameters of string and hammer by name."""
-    names = (*String._fields, *law_of(hammer).hammer_parameters)
+    names = (*String._fields, *plain_law(hammer).hammer_parameters)
     return {key: float(value) for key, value in {**string._asdict(), **hammer._asdict()}.items() if key in names}
 
 
@@ -181,8 +181,7 @@ def _noise(note: np.ndarray, db: float | None, seed: int, rate: int, lead: int) 
 def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name: str) -> Setup:
     """The setup of the measurement, as a laboratory would write it."""
     length, mass, strike, width, pickup = map(float, geometry)
-    law = law_of(hammer)
-    felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name
+    law = plain_law(hammer)
     return Setup(
         length=length,
         mass=mass,
@@ -192,7 +191,7 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
         pickup_position=pickup if quantity in STRING_PICKUPS else None,
         pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
         recordings=(RecordingInfo(file=name),),
-        felt=felt if law.hammers is not None else law,
+        felt=law.name if law.hammers is not None else law,
     )
 
 

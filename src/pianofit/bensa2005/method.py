@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from ..analysis import Analysis
 from ..errors import ParameterError, check_range, check_type
-from ..felt import DEFAULT_LAW
+from ..felt.hunt_crossley import HUNT_CROSSLEY, POWER
 from ..fitting import check_arguments, given_setup, read_and_analyse
 from ..inference import InitialValues, starting_values
 from ..parameters import FIT_NAMES, Hammer, String
@@ -94,6 +94,7 @@ def fit(
     check_arguments((recording,), analyses, velocity, seed, progress)
     _check_method(method, evaluations)
     setup = given_setup(setup, velocity)
+    setup = replace(setup, felt=setup.felt or HUNT_CROSSLEY.name)
     with progress_bar(progress) as report:
         (sound,), (analysis,) = read_and_analyse((recording,), analyses, channel, note, f0, report)
         if velocity is None:
@@ -144,8 +145,8 @@ def search_parameters(
     FitError
         If no hammer gives a finite criterion, or a contact does not end.
     """
-    if start.law.hammer_type is not Hammer:
-        raise ParameterError(f"method={method!r} has no felt={start.law.name!r}: use {DEFAULT_LAW.name!r}")
+    if start.law not in (HUNT_CROSSLEY, POWER):
+        raise ParameterError(f"method={method!r} has no felt={start.law.name!r}: use {HUNT_CROSSLEY.name!r}")
     search = make_search(recording, analysis, start)
     x = search.x(search.values)
     progress("string", 0.1)

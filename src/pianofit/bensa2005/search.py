@@ -21,7 +21,7 @@ import numpy as np
 from ..analysis import Analysis
 from ..criterion import band_of, damping_for
 from ..errors import FitError
-from ..felt import DEFAULT_LAW
+from ..felt.hunt_crossley import HUNT_CROSSLEY
 from ..inference import NO_HAMMER, InitialValues, simulation_grid
 from ..inference.priors import HAMMER_SD
 from ..model import simulate
@@ -60,7 +60,7 @@ LINES = 10.0
 # Half-width of the box for the hammer, in standard deviations of the hammers in the literature.
 SPREADS = 2.5
 # The literature gives no spread of v_H0: 1 in its logarithm.
-SPREAD = HAMMER_SD | {n: p.prior_sd for n, p in DEFAULT_LAW.parameters.items()} | {"v_H0": 1.0}
+SPREAD = HAMMER_SD | {n: p.prior_sd for n, p in HUNT_CROSSLEY.parameters.items()} | {"v_H0": 1.0}
 HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
 # Gradient steps at one σ, and evaluations of the final least squares.
 ITERATIONS = 60

@@ -13,11 +13,13 @@ from typing import Any
 
 from ..errors import ParameterError
 from ..parameters import HAMMER_NAMES, PARAMETERS, Hammer, Parameter, check
-from .hunt_crossley import HUNT_CROSSLEY
+from .hunt_crossley import HUNT_CROSSLEY, POWER
 from .law import COMMON_PARAMETERS, FeltLaw
 from .relaxing import RelaxingHammer
+from .soft_skin import SOFT_SKIN
 
 __all__ = [
+    "ABSENT",
     "ALL_PARAMETERS",
     "COMMON_PARAMETERS",
     "DEFAULT_LAW",
@@ -28,6 +30,7 @@ __all__ = [
     "is_builtin",
     "law_of",
     "make_hammer",
+    "plain_law",
 ]
 
 # The felt laws of this package by their name in files.
@@ -37,8 +40,10 @@ LAWS: dict[str, FeltLaw] = {
     if not module.ispkg
     for law in getattr(import_module(f".{module.name}", __name__), "LAWS", ())
 }
-# The law of the paper, for setups that name none.
-DEFAULT_LAW = HUNT_CROSSLEY
+# The law for setups that name none.
+DEFAULT_LAW = SOFT_SKIN
+# Parameters that are 0 where a felt has no loss or no skin, below their bounds.
+ABSENT = ("mu", "skin")
 # Unit, meaning and bounds of all parameters that fits with these laws search.
 ALL_PARAMETERS: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
@@ -49,7 +54,7 @@ def is_builtin(law: FeltLaw) -> bool:
 
 
 def law_of(hammer: Any) -> FeltLaw:
-    """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0.
+    """Return the felt law of a hammer by its type; a `Hammer` has a soft skin, also of thickness 0.
 
     Raises
     ------
@@ -57,14 +62,28 @@ def law_of(hammer: Any) -> FeltLaw:
         If the argument is not a hammer.
     """
     kind = type(hammer)
-    for law in (getattr(kind, "law", None), *LAWS.values()):
+    for law in (getattr(kind, "law", None), SOFT_SKIN, *LAWS.values()):
         if law is not None and law.hammer_type is kind:
             return law
     raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
 
 
+def plain_law(hammer: Any) -> FeltLaw:
+    """Return the law with the fewest parameters that describes this hammer.
+
+    Raises
+    ------
+    ParameterError
+        If the argument is not a hammer.
+    """
+    law = law_of(hammer)
+    if law is not SOFT_SKIN or hammer.skin:
+        return law
+    return HUNT_CROSSLEY if hammer.mu else POWER
+
+
 def check_hammer(hammer: Any, where: str = "hammer") -> None:
-    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0, a felt without loss, is allowed.
+    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0 and a skin of thickness 0 are allowed.
 
     Raises
     ------
@@ -77,7 +96,7 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
             raise ParameterError(f"{where}: {name} has the shape {value.shape} and must be one number; use jax.vmap")
     values = {name: float(value) for name, value in hammer._asdict().items()}
     if law.hammers is not None:
-        values = {name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}
+        values = {name: value for name, value in values.items() if value or name not in ABSENT}
     check(values, where, ALL_PARAMETERS | law.hammer_parameters)
 
 
@@ -93,7 +112,7 @@ def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltL
         if missing := [name for name in law.hammer_parameters if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
         return law.make_hammer(values)
-    common = [values[name] for name in HAMMER_NAMES]
+    common = [*(values[name] for name in HAMMER_NAMES), values.get("skin", 0.0)]
     relaxation = [values[name] for name in RelaxingHammer._fields[len(common) :] if name in values]
     if len(relaxation) == 1:
         raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")

@@ -1,4 +1,7 @@
-"""The felt of Hunt and Crossley (paper eq. 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law (Ghosh)."""
+"""The felt of Hunt and Crossley (paper eq. 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law (Ghosh).
+
+Its hammers are those of the felt with a soft skin (soft_skin.py), of thickness 0.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from .law import FeltLaw
 FELT_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2}
 # The parameters of a fit next to those of the string, for all laws of this package, including parameters that a law
 # does not have. So a seed draws the same numbers for all laws.
-COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
+COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau", "skin")
 
 
 def published_parameter(name: str) -> Parameter:

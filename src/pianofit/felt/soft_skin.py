@@ -1,7 +1,8 @@
 """A felt with a soft skin, F = K_H g^p (1 + μ u̇), g = u²/(u + d): softer than a power law below the thickness d.
 
 Needled and worn felts are loose at their surface. Under a small compression, u ≪ d, the force rises as u^(2p); under a
-large one it follows the power law of the felt below, displaced by d. The stored energy is the integral of the static
+large one it follows the power law of the felt below, displaced by d. The exponent of the force at a compression u is
+p (1 + d/(u + d)). Without a skin it is the felt of Hunt and Crossley. The stored energy is the integral of the static
 force, by Gauss-Legendre quadrature.
 """
 
@@ -11,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from ..parameters import Parameter
-from .hunt_crossley import published_parameter
+from ..parameters import Hammer, Parameter
+from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
 
 # Nodes and weights on 0 to 1 of the stored energy. Its integrand is smooth: 24 nodes give 9 digits.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
+# Prior of the thickness: median over the key's reference compression, and spread of the logarithm. Of 17 keys of five
+# pianos it is 0.02 to 2.4 times that compression (docs/fitting.md).
+SKIN, SKIN_SPREAD = 0.3, 1.5
 
 
 def base(u: Any, felt: Any) -> Any:
@@ -40,17 +44,24 @@ def storage(u: Any, felt: Any) -> Any:
     return u * sum(weight * static_force(node * u, felt) for node, weight in zip(NODES, WEIGHTS, strict=True))
 
 
-# Thickness: a tenth of a millimetre within a factor of three. Strokes press a felt by 0.1 to 1 mm.
+def _median(midi: float) -> float:
+    from ..literature import reference_compression  # its curves need SciPy, which help texts must not import
+
+    return SKIN * reference_compression(midi)
+
+
 SOFT_SKIN = FeltLaw(
     "soft-skin",
     {
-        **{name: published_parameter(name) for name in ("K_H", "p", "mu")},
-        "skin": Parameter("m", "thickness of the felt's soft skin", 1e-6, 3e-3, 1e-4, 1.2),
+        **{name: published_parameter(name) for name in ("K_H", "mu", "p")},
+        "skin": Parameter("m", "thickness of the felt's soft skin", 1e-9, 1e-2, _median, SKIN_SPREAD),
     },
     force,
     storage,
     power=("K_H", "p"),
     base=base,
+    hammers=Hammer,
+    columns=COLUMNS,
     formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + d)"),
 )
 LAWS = (SOFT_SKIN,)

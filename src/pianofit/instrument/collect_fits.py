@@ -1,6 +1,7 @@
 """Fits of single keys from a folder, on one velocity scale.
 
-An uncalibrated fit determines its velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s)
+An uncalibrated fit determines its velocities up to a factor: (K_H, μ, d, v_H0, gain) → (K_H s^(1-p), μ/s, s d, s v_H0,
+gain/s)
 does not change the sound. The loudest recording of every such key is set to `LOUDEST_VELOCITY`, which puts all keys on
 one scale.
 """
@@ -18,12 +19,14 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
+from ..felt import ALL_PARAMETERS
+from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..io.number_format import log_half_width
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import FIT_NAMES, PARAMETERS, Hammer
+from ..parameters import FIT_NAMES, Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
@@ -159,7 +162,7 @@ def _load_key(file: Path) -> KeyFit:
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
     if not isinstance(note.hammer, Hammer):
-        raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt hunt-crossley")
+        raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
     for i, recording in enumerate(fit.recordings):
         if not (recording.v_H0 > 0 and recording.gain):
             raise FitError(
@@ -171,9 +174,11 @@ def _load_key(file: Path) -> KeyFit:
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
     scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
-    # The law is in log μ, so a felt without loss gets the smallest allowed μ.
-    h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
-    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
+    # The laws are in log μ and log d, so a felt without loss or skin gets the smallest allowed ones.
+    least = {name: max(getattr(note.hammer, name), ALL_PARAMETERS[name].lower) for name in ("mu", "skin")}
+    h = note.hammer._replace(v_H0=float(velocities[-1]), **least)
+    speeds = {"mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
+    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), **speeds)
     response = None if note.modal_response is None else note.modal_response.scale_velocity(scale)
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(
@@ -227,7 +232,7 @@ def _finite(value: float) -> float | None:
 
 def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, float]:
     """Return standard deviations of the `LAW_QUANTITIES`, from the 95 % intervals."""
-    s = {name: _log_sd(fit.parameters.get(name)) for name in (*FIT_NAMES, "x0")}
+    s = {name: _log_sd(fit.parameters.get(name)) for name in (*FIT_NAMES, "x0", "skin")}
     sd = {
         "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
         "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
@@ -236,6 +241,7 @@ def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, floa
         "M_H/M_S": s["M_H"],
         "p": s["p"],
         "mu": s["mu"],
+        "skin": s["skin"],
         "x0/L": s["x0"],
         "F/M_S": _felt_sd(s, fit, note, midi, scale),
     }

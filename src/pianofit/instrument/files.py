@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError
+from ..felt import check_hammer
 from ..io.files import printable, replace_file, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -75,7 +76,8 @@ def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
     """Return the key of an entry, without an interpolated modal response. Its values are checked."""
     string, hammer, geometry = vars(entry.string), vars(entry.hammer), Geometry(**vars(entry.geometry))
     try:
-        check(string | hammer, where)
+        check(string, where)
+        check_hammer(Hammer(**hammer, v_H0=2.0), where)
         check_geometry(geometry, quantity)
     except ParameterError as error:
         raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
@@ -115,7 +117,7 @@ def _entry(midi: int, key: Key) -> KeyEntry:
         note=midi_to_note(midi),
         state=key.state,
         string=StringEntry(*map(float, key.note.string)),
-        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H))),
+        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H, hammer.skin))),
         geometry=GeometryEntry(*map(float, key.note.geometry)),
         gain=float(key.note.gain),
         path=None if path is None else PathEntry(path.frequency, path.db),

@@ -13,9 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from ..conversions import hertz_of, midi_of
+from ..felt import ALL_PARAMETERS
+from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, TYPICAL_VELOCITY, reference_compression, typical
 from ..model.note import Note
-from ..parameters import PARAMETERS, Geometry, Hammer, String
+from ..parameters import Geometry, Hammer, String
 from .laws import Prior
 
 
@@ -51,6 +53,7 @@ LAW_QUANTITIES = {
     "F/M_S": LawQuantity("felt force at the reference compression over string mass", "N/kg", Prior(1.5, 1.0, 1.0)),
     "p": LawQuantity("felt exponent p", "1", Prior(0.2, 0.1, 0.15)),
     "mu": LawQuantity("felt loss coefficient μ", "s/m", Prior(1.2, 0.5, 0.8)),
+    "skin": LawQuantity("thickness of the felt's soft skin", "m", Prior(1.5, 0.7, 1.0)),
     "x0/L": LawQuantity("strike position x₀/L", "1", Prior(0.2, 0.2, 0.2), 1e-2),
     "width/L": LawQuantity("width of the contact window over L", "1", Prior(0.3, 0.3, 0.3), 0.3),
     "L": LawQuantity("string length L", "m", Prior(0.3, 0.3, 0.2), 1e-3, True),
@@ -81,9 +84,10 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
         "M_H/M_S": h.M_H / g.mass,
-        "F/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
+        "F/M_S": SOFT_SKIN.force(reference_compression(midi), 0.0, h) / g.mass,
         "p": h.p,
         "mu": h.mu,
+        "skin": h.skin,
         "x0/L": g.strike_position / g.length,
         "width/L": g.width / g.length,
         "L": g.length,
@@ -94,7 +98,7 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
 
 
 def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note:
-    """Return the note with these `LAW_QUANTITIES`, clipped to `PARAMETERS`, struck at `TYPICAL_VELOCITY`."""
+    """Return the note with these `LAW_QUANTITIES`, clipped to their ranges, struck at `TYPICAL_VELOCITY`."""
     length = at["L"]
     mass = at["M_S/L"] * length
     c = 2 * length * hertz_of(midi + at["cents"] / 100)
@@ -106,7 +110,8 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
         "b2": at["d2"] * (length / math.pi) ** 2,
     }
     hammer = {
-        "K_H": at["F/M_S"] * mass / reference_compression(midi) ** at["p"],
+        "K_H": at["F/M_S"] * mass / SOFT_SKIN.power_base(reference_compression(midi), at) ** at["p"],
+        "skin": at["skin"],
         "mu": at["mu"],
         "p": at["p"],
         "M_H": at["M_H/M_S"] * mass,
@@ -120,7 +125,7 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
 
 
 def _clipped(values: dict[str, float]) -> dict[str, float]:
-    return {n: float(np.clip(x, PARAMETERS[n].lower, PARAMETERS[n].upper)) for n, x in values.items()}
+    return {n: float(np.clip(x, ALL_PARAMETERS[n].lower, ALL_PARAMETERS[n].upper)) for n, x in values.items()}
 
 
 def literature(midi: int) -> dict[str, float]:
@@ -128,4 +133,5 @@ def literature(midi: int) -> dict[str, float]:
     it = typical(midi)
     width = min(it.geometry.width, 0.1 * it.geometry.length)
     geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
-    return key_quantities(Note(it.string, it.hammer, geometry, "velocity", 1.0), midi)
+    hammer = it.hammer._replace(skin=SOFT_SKIN.parameters["skin"].prior_median(midi))
+    return key_quantities(Note(it.string, hammer, geometry, "velocity", 1.0), midi)

@@ -34,7 +34,7 @@ CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
 FIGURES = {
     "string": ("cents", "B", "b1", "d2"),
-    "hammer": ("M_H/M_S", "F/M_S", "p", "mu"),
+    "hammer": ("M_H/M_S", "F/M_S", "p", "mu", "skin"),
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
 DECAYS = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}

@@ -144,6 +144,7 @@ class HammerEntry:
     mu: Number
     p: Number
     M_H: Number
+    skin: Number = 0.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FitError, ParameterError
-from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
+from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, law_of, make_hammer
 from ..io.files import printable, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -63,7 +63,7 @@ def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | No
     """
     values, law = {n: quantity.value for n, quantity in record.parameters.items()}, law_of_fit(record, name, felt)
     where = f"{name}: parameters"
-    needed = (*STRING_NAMES, *(HAMMER_NAMES if law.hammers else law.hammer_parameters))
+    needed = (*STRING_NAMES, *(HAMMER_NAMES if law.hammers else ()), *law.hammer_parameters)
     if missing := [n for n in (*needed, "L", "M_S", "x0", "width") if n not in values]:
         raise FitError(f"{where}.{missing[0]} is missing; {HINT}")
     own = {n: values[n] for n in (*needed, *(n for n in ALL_PARAMETERS if n in values))}
@@ -197,7 +197,8 @@ def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
     values = {name: value for name, value in initial.items() if value is not None}
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
-        hammer = type(note.hammer)(**{name: values[name] for name in note.hammer._fields})
+        absent = {"skin": 0.0} if law_of(note.hammer).hammers else {}
+        hammer = type(note.hammer)(**{name: (absent | values)[name] for name in note.hammer._fields})
         geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
     except KeyError as missing:
         raise FitError(f"this fit.json has no initial {missing.args[0]}; fit the recordings again") from None

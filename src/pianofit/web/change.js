@@ -1,6 +1,6 @@
 // A key with changed parameters, and its force pulse and mode levels for the plots.
 
-import { Contact, FreeMotion, unitAtStrike } from "./contact.js";
+import { Contact, FreeMotion, staticForce, unitAtStrike } from "./contact.js";
 import { atVelocity, raisedCosineWeights } from "./prepare.js";
 
 const MOST_STEPS_DRAWN = 65536; // of a contact
@@ -32,7 +32,10 @@ export function changed(key, changes) {
   const within = (name, x) => x && Math.min(Math.max(x, BOUNDS[name][0]), BOUNDS[name][1]);
   const p = within("p", hammer.p + c.p), out = { ...key };
   out.hammer = { p, mu: within("mu", hammer.mu * c.mu), M_H: within("M_H", hammer.M_H * c.mass),
-    K_H: within("K_H", hammer.K_H * c.force * key.compression ** (hammer.p - p)) };
+    skin: hammer.skin };
+  // The force at the reference compression does not change with p.
+  const before = staticForce(hammer, key.compression), unit = staticForce({ ...out.hammer, K_H: 1 }, key.compression);
+  out.hammer.K_H = within("K_H", (c.force * before) / unit);
   const edge = geometry.width / 2, wanted = geometry.strike_position * c.strike;
   out.geometry = { ...geometry, strike_position: Math.min(Math.max(wanted, edge), geometry.length - edge) };
   out.string = { ...string, b1: within("b1", string.b1 * c.loss), b2: within("b2", string.b2 * c.loss),

@@ -1,7 +1,9 @@
 // Contact of a hammer with a string that may still move: one scalar equation per step (model/contact.py). With the
 // kernel g of the string at the strike position,
 //
-//   e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion     u_n = e_n - C T_n     F_n = K_H u_n^p (1 + μ w_n)
+//   e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion     u_n = e_n - C T_n     F_n = K_H g_n^p (1 + μ w_n)
+//
+// with g = u²/(u + d) of a felt whose soft skin has the thickness d.
 
 export const BLOCK = 128; // samples or steps per block
 const MOST_STEPS = 65536; // of a contact; a longer contact is ended
@@ -158,7 +160,7 @@ export class Contact {
 
   /** Compute up to `steps` steps, or until the hammer can no longer touch the string. */
   advance(steps) {
-    const { a, hammer, compliance: c } = this, { K_H, mu, p, M_H } = hammer, g = this.kernel.upTo(this.window + BLOCK);
+    const { a, hammer, compliance: c } = this, { M_H } = hammer, g = this.kernel.upTo(this.window + BLOCK);
     this.drive = grown(this.drive, steps);
     this.force = grown(this.force, steps);
     const { drive, force } = this, freeMotion = this.free?.upTo(steps);
@@ -169,9 +171,9 @@ export class Contact {
       const earlier = this.pastMotion ? this.pastMotion.values[n - this.origin] : 0;
       const past = recent + (freeMotion ? freeMotion[n] : 0) + earlier;
       const upper = this.y + 2 * a * this.v - past - c * this.f;
-      const u = upper > 0 ? compression(upper, this.u, this.w, c, a, K_H, mu, p) : upper;
+      const u = upper > 0 ? compression(upper, this.u, this.w, c, a, hammer) : upper;
       const w = (u - this.u) / a - this.w;
-      const f = u > 0 ? K_H * u ** p * Math.max(1 + mu * w, 0) : 0, t = f + this.f;
+      const f = u > 0 ? staticForce(hammer, u) * Math.max(1 + hammer.mu * w, 0) : 0, t = f + this.f;
       const before = this.v;
       this.v -= (a / M_H) * t;
       this.y += a * (before + this.v);
@@ -210,14 +212,21 @@ export class Contact {
   }
 }
 
+/** Static force, N, of a felt at a compression, m. */
+export function staticForce({ K_H, p, skin = 0 }, compression) {
+  return K_H * (skin ? compression ** 2 / (compression + skin) : compression) ** p;
+}
+
 /** Root of u + C F(u, w(u)) = upper by Newton's method in [0, upper]. F is convex, so the iteration is monotonic. */
-function compression(upper, uBefore, wBefore, c, a, K_H, mu, p) {
+function compression(upper, uBefore, wBefore, c, a, hammer) {
+  const { K_H, mu, p, skin = 0 } = hammer, base = (upper / (c * K_H)) ** (1 / p);
   const predicted = uBefore + 2 * a * wBefore;
   const isUsable = uBefore > 0 && predicted > 0 && predicted < upper;
-  let u = isUsable ? predicted : Math.min((upper / (c * K_H)) ** (1 / p), upper);
+  let u = isUsable ? predicted : Math.min(0.5 * (base + Math.sqrt(base * (base + 4 * skin))), upper);
   for (let i = 0; i < ITERATIONS; i++) {
-    const stiff = c * K_H * u ** (p - 1), loss = 1 + mu * ((u - uBefore) / a - wBefore);
-    const force = loss > 0 ? stiff * u * loss : 0, slope = loss > 0 ? stiff * (p * loss + (u * mu) / a) : 0;
+    const push = c * staticForce(hammer, u), loss = 1 + mu * ((u - uBefore) / a - wBefore);
+    const exponent = p * (1 + skin / (u + skin || 1)), force = loss > 0 ? push * loss : 0;
+    const slope = loss > 0 && u > 0 ? push * ((exponent * loss) / u + mu / a) : 0;
     const next = Math.min(Math.max(u - (u - upper + force) / (1 + slope), 0), upper), change = Math.abs(next - u);
     u = next;
     if (change <= TOLERANCE * u) break;

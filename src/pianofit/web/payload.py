@@ -16,6 +16,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..dsp.filters import resample
 from ..errors import ParameterError
+from ..felt.soft_skin import SOFT_SKIN
 from ..instrument import Instrument
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse
@@ -126,12 +127,12 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
     Raises
     ------
     ParameterError
-        For a felt law other than Hunt-Crossley and the power law.
+        For a relaxing felt and a felt law that is not built in.
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(
-            f"key {midi_to_note(midi)}: a page plays the Hunt-Crossley felt law, not "
-            f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
+            f"key {midi_to_note(midi)}: a page does not play a {type(note.hammer).__name__}; fit the key with "
+            f"--felt {SOFT_SKIN.name}"
         )
     entry: dict[str, Any] = {
         part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != "v_H0"}

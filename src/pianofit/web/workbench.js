@@ -1,5 +1,7 @@
 // Parameters of the last played key: sliders, undo, and plots of the force pulse and the mode levels.
 
+import { staticForce } from "./contact.js";
+
 // Changes for `changed` of change.js. Every slider except that of the exponent is a factor on a logarithmic scale.
 const SLIDERS = [
   { name: "force", words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
@@ -18,14 +20,14 @@ const byId = (id) => document.getElementById(id);
 const ADDED = {
   force: ({ hammer, compression, geometry }) => ({
     words: ` (${shortened(1e3 * compression)} mm)`,
-    value: `, ${shortened((hammer.K_H * compression ** hammer.p) / geometry.mass)} N/kg`,
+    value: `, ${shortened(staticForce(hammer, compression) / geometry.mass)} N/kg`,
   }),
 };
 const shortened = (x) => Number(x.toPrecision(3));
 
 /** The displayed value of each slider, from the key. */
 const SHOWN = {
-  force: ({ hammer, compression }) => hammer.K_H * compression ** hammer.p,
+  force: ({ hammer, compression }) => staticForce(hammer, compression),
   p: ({ hammer }) => hammer.p,
   mu: ({ hammer }) => hammer.mu,
   mass: ({ hammer }) => 1e3 * hammer.M_H,

@@ -1,0 +1,187 @@
+"""Whether fits of some layers of a key agree with the fit of all: intervals of every parameter, minima and seeds.
+
+    python benchmarks/subsets_study.py                         every key with four layers or more, two left out
+    python benchmarks/subsets_study.py --laws hunt-crossley,soft-skin --notes C4,Ds1 --seeds 0,1,2
+
+The recordings are those of `crossval.py`. Every subset without two of a key's layers is fitted. A parameter of a subset
+agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data, so the variance of
+the difference of two Gaussian posterior means is the difference of their variances. The standardised difference z uses
+that variance, but at least `LEAST_SHARE` of the subset's.
+
+Parameters are p, μ, M_H, x0, those of the string, and the ratios of velocities. An unknown scale of the velocities
+moves μ, so μ v is compared, with the velocity v of the first layer in both. K_H, whose unit changes with p, is not
+compared. Two seeds agree if every interval of all layers overlaps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from crossval import folders, notes
+
+if TYPE_CHECKING:
+    from pianofit import Setup
+    from pianofit.inference import InferenceResult
+
+FEWEST_LAYERS = 4
+LEFT_OUT = 2
+# A subset with almost all of the information differs by almost nothing: z would be rounding.
+LEAST_SHARE = 0.1
+# Standard deviations of a logarithm above which a parameter says nothing to compare.
+UNKNOWN = 0.7
+STRING = ("c", "kappa", "b1", "b2")
+HAMMER = ("p", "mu", "M_H", "x0", "skin")
+
+
+class Value(NamedTuple):
+    """Logarithm of a parameter: posterior mean and standard deviation, and the 95 % interval."""
+
+    mean: float
+    sd: float
+    low: float
+    high: float
+
+
+class Job(NamedTuple):
+    """Fits of one key by one law from one seed."""
+
+    key: str
+    note: str
+    files: list[Path]
+    setup: Setup
+    law: str
+    seed: int
+
+
+def values(fit: InferenceResult, names: list[str], of: list[str]) -> dict[str, Value]:
+    """Parameters and ratios of velocities that subset `names` of the recordings `of` share; free ones alone."""
+    u, unit = fit.problem.parametrisation, np.eye(fit.problem.parametrisation.size)
+    stroke = {name: u.shared + fit.problem.structure.stroke[i] for i, name in enumerate(of)}
+    first = unit[stroke[names[0]]]
+    found = {name: unit[u.index_of(name)] for name in (*STRING, *HAMMER) if name in u.reported}
+    found["mu"] = found["mu"] + first
+    if "skin" in found:
+        found["skin"] = found["skin"] - first
+    found = {name: change for name, change in found.items() if u.free[u.index_of(name)]}
+    found |= {f"v {name}": unit[stroke[name]] - first for name in names[1:]}
+    posterior, table = fit.posterior, {}
+    for name, change in found.items():
+        interval = posterior.interval(change)
+        if interval is not None:
+            centre = posterior.mean @ change
+            spread = np.einsum("i,bij,j->b", change, posterior.covariance, change)
+            mean = float(posterior.weight @ centre)
+            sd = float(np.sqrt(posterior.weight @ (spread + (centre - mean) ** 2)))
+            table[name] = Value(mean, sd, *interval)
+    return table
+
+
+def study(job: Job) -> dict[str, Any]:
+    """Differences of all subsets of one key from all of its layers."""
+    from pianofit.analysis import analyse
+    from pianofit.inference import run_inference
+    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.recording.recording import load_recording
+
+    enable_program_cache()
+    recordings = [load_recording(file) for file in job.files]
+    analyses = [analyse(recording, note=job.note) for recording in recordings]
+    setup = replace(job.setup, felt=job.law)
+
+    def fitted(which: tuple[int, ...]) -> tuple[InferenceResult, list[str]]:
+        chosen = [recordings[i] for i in which]
+        return run_inference(chosen, [analyses[i] for i in which], setup, seed=job.seed), [
+            Path(recording.path).stem for recording in chosen
+        ]
+
+    everything, of = fitted(tuple(range(len(recordings))))
+    rows = []
+    for which in itertools.combinations(range(len(recordings)), len(recordings) - LEFT_OUT):
+        some, names = fitted(which)
+        for name, one in values(some, names, names).items():
+            whole = values(everything, names, of).get(name)
+            if whole is None or min(one.sd, whole.sd) > UNKNOWN:
+                continue
+            sd = np.sqrt(max(one.sd**2 - whole.sd**2, LEAST_SHARE * one.sd**2))
+            overlap = one.low <= whole.high and whole.low <= one.high
+            kind = name.split()[0]
+            rows.append({"parameter": kind, "z": float((one.mean - whole.mean) / sd), "overlap": bool(overlap)})
+    whole = {name: list(value) for name, value in values(everything, of, of).items()}
+    return {"key": job.key, "law": job.law, "seed": job.seed, "all": whole, "rows": rows}
+
+
+def table(results: list[dict[str, Any]], law: str) -> str:
+    """Shares of overlapping intervals and rms z by parameter."""
+    rows = [row for result in results if result["law"] == law for row in result["rows"]]
+    lines = [f"{law}: parameter   compared   overlap   rms z   worst z"]
+    for name in [*dict.fromkeys(row["parameter"] for row in rows), "all"]:
+        own = [row for row in rows if name in (row["parameter"], "all")]
+        z = np.array([row["z"] for row in own])
+        share = np.mean([row["overlap"] for row in own])
+        rms, worst = np.sqrt(np.mean(z**2)), np.abs(z).max()
+        lines.append(f"{name:>22} {len(own):10d} {100 * share:8.1f} % {rms:7.2f} {worst:9.1f}")
+    return "\n".join(lines)
+
+
+def seeds(results: list[dict[str, Any]], law: str) -> str:
+    """How many parameters of all layers have overlapping intervals from every pair of seeds."""
+    by_key: dict[str, list[dict]] = {}
+    for result in results:
+        if result["law"] == law:
+            by_key.setdefault(result["key"], []).append(result["all"])
+    pairs = [
+        (one[name], other[name])
+        for fits in by_key.values()
+        for one, other in itertools.combinations(fits, 2)
+        for name in one
+        if name in other
+    ]
+    agree = sum(a[2] <= b[3] and b[2] <= a[3] for a, b in pairs)
+    return f"{law}: {agree} of {len(pairs)} parameters of two seeds have overlapping intervals"
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--laws", default="hunt-crossley", help="separated by commas")
+    parser.add_argument("--seeds", default="0", help="separated by commas")
+    parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    wanted, laws = [n for n in options.notes.split(",") if n], options.laws.split(",")
+    jobs = [
+        Job(key, *note, law, int(seed))
+        for law in laws
+        for folder in folders()
+        for key, note in notes(folder).items()
+        for seed in options.seeds.split(",")
+        if len(note[1]) >= FEWEST_LAYERS and (not wanted or any(w in key for w in wanted))
+    ]
+    results = []
+    with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for result in pool.map(study, jobs):
+            results.append(result)
+            rows = result["rows"]
+            apart = sorted({row["parameter"] for row in rows if not row["overlap"]})
+            share = 100 * np.mean([row["overlap"] for row in rows])
+            print(f"{result['key']:18} {result['law']:14} seed {result['seed']}: {share:.0f} %", *apart, flush=True)
+    for law in laws:
+        print(table(results, law))
+        if "," in options.seeds:
+            print(seeds(results, law))
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
