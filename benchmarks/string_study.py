@@ -16,7 +16,7 @@ import coverage_twins
 import numpy as np
 
 from pianofit.analysis import analyse, envelope_slopes
-from pianofit.inference.derivatives import marginalise_nuisances
+from pianofit.inference.curvature import marginalise_nuisances
 from pianofit.inference.estimate import fit_string
 from pianofit.inference.objective import Objective
 from pianofit.inference.problem import build_problem

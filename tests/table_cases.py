@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
+from pianofit.inference.derivatives import Evaluation, evaluate
 from pianofit.inference.likelihood import INTERFERENCE_DB, JITTER, ObservationTable
 from pianofit.inference.priors import STUDENT
 
@@ -129,3 +130,8 @@ def dense(t: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndar
     mixture = 0.5 * t.degrees_of_freedom * (t.detected * (w - 1 - np.log(w))).sum()
     nodes = -logsumexp(-dense_nodes(t, residual, phi, w, theta))
     return float(nodes + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum())
+
+
+def evaluate_one(t, *at):
+    """`evaluate` at one point."""
+    return Evaluation(*(x[0] for x in evaluate(t, *(np.asarray(x)[None] for x in at))))

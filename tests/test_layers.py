@@ -47,11 +47,11 @@ USES = {
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
     "batch": "analysis fitting io model parameters recording report schema",
-    "instrument": "analysis dsp io literature model parameters report schema",
+    "instrument": "analysis dsp felt io literature model parameters report schema",
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io model parameters threads",
     "export": "analysis dsp instrument io model playback report threads",
-    "web": "analysis dsp instrument io literature model parameters playback recording report schema",
+    "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"
     " parameters playback progress recording report result schema setup synthetic threads web",
     "__main__": "cli",

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scipy.special
 import scipy.stats
-from table_cases import PHI, SHAPES, SHARED, SMALL, dense, dense_nodes, noise, point, shared, table
+from table_cases import PHI, SHAPES, SHARED, SMALL, dense, dense_nodes, evaluate_one, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.derivatives import Evaluation, evaluate, latent_posterior
+from pianofit.inference.derivatives import latent_posterior
 from pianofit.inference.likelihood import (
     ObservationTable,
     combine_nodes,
@@ -26,11 +26,6 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 F = jax.jit(objective)
 ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
-
-
-def evaluate_one(t, *at):
-    """`evaluate` at one point."""
-    return Evaluation(*(x[0] for x in evaluate(t, *(np.asarray(x)[None] for x in at))))
 
 
 @pytest.mark.parametrize("seed", range(3))

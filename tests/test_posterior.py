@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from table_cases import PHI, dense, noise, point, shared, table
+from table_cases import PHI, dense, evaluate_one, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.derivatives import evaluate, marginalise_nuisances
+from pianofit.inference.curvature import marginalise_nuisances
 from pianofit.inference.laplace import Posterior, _log_curvature
 from pianofit.inference.likelihood import em_weights
 
@@ -42,7 +42,7 @@ def lowest(shape: str):
     t, residual, theta = table(shape), 0.4 * point(shape)[0], point(shape)[2]
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, len(theta)))
     for _ in range(40):
-        found = evaluate(t, residual, jacobian, PHI, w, theta)
+        found = evaluate_one(t, residual, jacobian, PHI, w, theta)
         gradient = found.gradient - found.by_covariance
         residual = residual - jacobian @ np.linalg.solve(found.curvature, -gradient)
         w = em_weights(t, found.by_log_w, w)
@@ -57,7 +57,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     """
     t, jacobian, residual, w, theta = lowest(shape)
     size = len(theta)
-    known = evaluate(t, residual, jacobian, PHI, w, theta).curvature
+    known = evaluate_one(t, residual, jacobian, PHI, w, theta).curvature
     where = tuple(np.argwhere(np.asarray(t.detected) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 

@@ -19,8 +19,8 @@ from .law import FeltLaw
 # Nodes and weights on 0 to 1 of the stored energy. Its integrand is smooth: 24 nodes give 9 digits.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
-# Prior of the thickness: median over the key's reference compression, and spread of the logarithm. Of 17 keys of five
-# pianos it is 0.02 to 2.4 times that compression (docs/fitting.md).
+# Prior of the thickness: median over the key's reference compression, and spread of the logarithm. 17 keys of five
+# pianos have 0.02 to 2.4 times that compression (docs/fitting.md).
 SKIN, SKIN_SPREAD = 0.3, 1.5
 
 

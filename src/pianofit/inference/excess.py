@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .derivatives import evaluate, marginalise_nuisances
+from .curvature import marginalise_nuisances
+from .derivatives import evaluate
 from .likelihood import ObservationTable, em_weights
 
 # First distance of two nodes of log σ, in standard deviations of log σ if no parameter followed the levels: 1/√(2n).

@@ -155,7 +155,7 @@ class Sides:
                 first, second = (fit.parameters[law.power[1]] for fit in self.fits)
                 if first.value != second.value or {first.status, second.status} != {"given"}:
                     return f"its unit changes with {law.power[1]}; compare F/M_S"
-        if a.name in ("F/M_S", "felt_force"):
+        if a.name in ("F/M_S", "felt_force", "local_exponent"):
             first, second = (fit.derived.reference_compression_mm for fit in self.fits)
             if abs(math.log(first / second)) > SAME:
                 return f"at different compressions: {first:.3g} and {second:.3g} mm"

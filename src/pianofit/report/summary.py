@@ -56,7 +56,7 @@ def _quantity_lines(table: Quantities) -> list[str]:
         status = quantity.status + (f" ({unbounded})" if unbounded else "")
         if name.startswith("v/"):
             status += f"  {Path(quantity.note).name}"
-        elif name in ("F/M_S", "felt_force"):
+        elif name in ("F/M_S", "felt_force", "local_exponent"):
             status += f"  {quantity.note}"
         value, span = format_with_interval(quantity.value, quantity.interval)
         rows.append((name, value, "" if quantity.unit == "1" else quantity.unit, span, status))

@@ -37,6 +37,7 @@ SYMBOLS = {
     "f0": "f_0",
 }
 SYMBOLS |= {"x0/L": "x_0/L", "contact_time": "contact time", "peak_force": "peak force", "felt_force": "felt force"}
+SYMBOLS |= {"local_exponent": "local exponent"}
 SYMBOLS |= {"peak_compression": "peak compression", "felt_loss": "felt loss"}
 # Bands of the criterion of Bensa et al. (2005).
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}

@@ -33,6 +33,8 @@ from ..schema.fit import Fit
 from ..schema.quantities import Status
 from .posterior import JointDraws, joint_draws
 
+# Half the step of log u in a difference of forces: its error is below 1e-6.
+STEP = 1e-3
 # A parameter is changed by this factor to see whether it matters: about the uncertainty that makes it not identifiable.
 PROBE = 2.0
 # It matters if the quantity changes by more than this, relative. The stiffness of the felt changes a contact time by 5
@@ -69,6 +71,11 @@ class ModelDraw:
     def felt_force(self, compression: float) -> float:
         """Static force of the felt, N, at a compression, m."""
         return float(law_of(self.note.hammer).force(compression, 0.0, self.note.hammer))
+
+    def local_exponent(self, compression: float) -> float:
+        """Exponent of the static force of the felt, d log F/d log u, at a compression, m; p without a skin."""
+        low, high = (self.felt_force(compression * math.exp(step)) for step in (-STEP, STEP))
+        return math.log(high / low) / (2 * STEP)
 
     def t60(self, partial: int) -> float:
         """Time in which a partial falls by 60 dB, s, by the string model, α = b1 + b2 β²."""

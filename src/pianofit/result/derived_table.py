@@ -17,22 +17,28 @@ STROKE: dict[str, tuple[str, Callable[[ModelDraw], float]]] = {
     "peak_compression": ("mm", lambda draw: 1e3 * float(draw.stroke.pulse.compression.max())),
     "felt_loss": ("1", lambda draw: draw.felt_loss),
 }
+# Those that hold at the reference compression.
+AT_REFERENCE = ("felt_force", "local_exponent")
 
 
 def derived_quantities(draws: DrawSet) -> Quantities:
     """Return the derived quantities of a fit with intervals and statuses.
 
     They are contact time, largest force and compression of the reference stroke, the felt force at the reference
-    compression, the energy lost in the felt, and T60 of the partials 1, 2, 4 and so on up to the highest detected one.
+    compression and its exponent there, the energy lost in the felt, and T60 of the partials 1, 2, 4 and so on up to the
+    highest detected one.
     """
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
-    table = STROKE | {"felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u))}
+    table = STROKE | {
+        "felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u)),
+        "local_exponent": ("1", lambda draw: draw.local_exponent(1e-3 * u)),
+    }
     table |= {f"{T60}{k}": ("s", partial(_t60, k)) for k in _octaves(fit)}
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
         found = draws.evaluate(function)
-        note = "; ".join(filter(None, (f"at {u:.3g} mm" * (name == "felt_force"), found.note)))
+        note = "; ".join(filter(None, (f"at {u:.3g} mm" * (name in AT_REFERENCE), found.note)))
         own = None if found.interval is None else method
         return Quantity(name, found.value, unit, found.interval, found.status, meaning_of(name), note, None, own)
 

@@ -189,7 +189,8 @@ class Result:
         Parameters
         ----------
         function : takes a `ModelDraw` and returns one number. A draw has `values` by name, the `note`, its simulated
-            `stroke`, `felt_force(u)`, N, at any compression u, m, and `t60(k)`, s, of any partial k.
+            `stroke`, `felt_force(u)`, N, and `local_exponent(u)` at any compression u, m, and `t60(k)`, s, of any
+            partial k.
         at_reference_velocity : without a measured velocity, draws hold at the reference velocity shown, as F/M_S does.
             False includes the unknown common scale of the velocities, as the interval of K_H does.
 

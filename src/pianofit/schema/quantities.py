@@ -39,6 +39,7 @@ MEANINGS = (
         "x0/L": "strike position over string length",
         "F/M_S": "static felt force at the reference compression, over the string mass",
         "felt_force": "static felt force at the reference compression",
+        "local_exponent": "exponent of the static felt force at the reference compression",
         "contact_time": "duration of the first contact",
         "peak_force": "largest force of the hammer",
         "peak_compression": "largest compression of the felt",

@@ -1,0 +1,141 @@
+"""Second derivatives of F by the log-weights of Student's t, and F with all nuisances integrated out.
+
+By the log-weights x the Hessian has a closed form in P = C⁻¹: a weight changes one entry of C's diagonal,
+∂C/∂x_i = -v_i, v = var/w. At one node
+
+    ∂F/∂x_i = ½ v_i (s_i² - P_ii)      ∂²F/∂x_i∂x_j = v_i v_j (s_i P_ij s_j - ½ P_ij²) - δ_ij ∂F/∂x_i
+                                       ∂²F/∂θ∂x_i = -(JᵀP)_i v_i s_i
+
+and of a censored partial, with m = tᵀr,
+
+    ∂m/∂x_i = v_i t_i s_i              ∂V/∂x_i = -v_i t_i²              ∂t_j/∂x_i = v_i P_ji t_i.
+
+Nodes are summed as in F. The few second derivatives by φ are differences of the exact gradient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .derivatives import Points, dense_inverse, evaluate
+from .likelihood import ObservationTable, variance
+
+# A negative eigenvalue of the curvature above this is not rounding, relative to the curvature with φ and w fixed.
+NEGATIVE = 1e-3
+
+
+class Marginal(NamedTuple):
+    """F of one table at a point, with hyperparameters and log-weights integrated out of its curvature."""
+
+    curvature: np.ndarray  # by θ [size, size]
+    log_det: float  # of the curvature by what is integrated out
+    nll: float  # F
+
+
+def marginalise_nuisances(
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
+    hyper: Sequence[int],
+) -> Marginal:
+    """Curvature by θ with the entries `hyper` of φ and all log-weights integrated out.
+
+    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
+    is that of the velocities at θ.
+    """
+    detected, step = np.asarray(table.detected) > 0, 1e-4
+    cross, by_weights = _by_weights(table, residual, jacobian, phi, w, theta)
+    r, J, ws, thetas = (np.repeat(x[None], len(hyper) + 1, axis=0) for x in (residual, jacobian, w, theta))
+    steps = np.concatenate([np.zeros((1, len(phi))), step * np.eye(len(phi))[list(hyper)]])
+    found = evaluate(table, r, J, phi + steps, ws, thetas)
+    curvature = found.curvature[0]
+    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, list(hyper)] / step
+    gradient = found.gradient - found.by_covariance
+    cross = np.concatenate([(gradient[1:] - gradient[0]) / step, cross])
+    nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
+    value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
+    value = np.maximum(value, 1e-8 * value.max())  # smaller ones are rounding
+    projected = vector.T @ cross
+    marginal = curvature - (projected / value[:, None]).T @ projected
+    # In units in which each parameter's own curvature is 1: with clean recordings they differ by decades.
+    unit = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    ratio, along = np.linalg.eigh(marginal / np.outer(unit, unit))
+    # Without a positive curvature the quadratic approximation fails: φ and w are treated as known.
+    if ratio[0] < -NEGATIVE:
+        return Marginal(curvature, float(np.log(value).sum()), float(found.nll[0]))
+    root = unit[:, None] * along * np.sqrt(np.maximum(ratio, 0.0))
+    return Marginal(root @ root.T, float(np.log(value).sum()), float(found.nll[0]))
+
+
+def _by_weights(
+    table: ObservationTable,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    phi: np.ndarray,
+    w: np.ndarray,
+    theta: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """F's second derivatives by log w of the n detected entries: with θ [n, size], and with log w [n, n]."""
+    at = np.flatnonzero(np.asarray(table.detected))
+    J, bound = jacobian.reshape(-1, jacobian.shape[-1])[at], jacobian[tuple(table.censored.T)]
+    one = [x[None] for x in (residual, phi, w, theta)]
+    point = Points.at(table, *one)
+    inverse, v = dense_inverse(table, point.nodes.factors)[0], variance(table, *one[1:3]).ravel()[at]
+    cross, hessian = np.zeros((len(at), J.shape[1])), np.diag(0.5 * float(table.degrees_of_freedom) * w.ravel()[at])
+    slopes = []
+    for node, weight in np.ndenumerate(point.weight[0]):
+        P = inverse[node][np.ix_(at, at)]
+        *first, node_cross, node_hessian = _at_node(point, node, at, P, v, J, bound)
+        slopes.append((weight, *first))
+        cross += weight * node_cross
+        hessian += weight * node_hessian
+    # F = -log Σ weight exp(-F at a node): nodes with different slopes take weight from one another.
+    weight, by_theta, by_x = (np.array(x) for x in zip(*slopes, strict=True))
+    deviation = by_x - weight @ by_x
+    weighted = (weight[:, None] * deviation).T
+    return cross - weighted @ (by_theta - weight @ by_theta), hessian - weighted @ deviation
+
+
+def _at_node(
+    point: Points,
+    node: tuple[int, ...],
+    at: np.ndarray,
+    P: np.ndarray,
+    v: np.ndarray,
+    J: np.ndarray,
+    bound: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """F's derivatives by θ [size] and log w [n], and the second ones by both [n, size] and by log w [n, n]."""
+    at_node = 0, *node
+    s = point.nodes.precision_residual[at_node].ravel()[at]
+    PJ, vs = P @ J, v * s
+    gradient, slope = -s @ J, 0.5 * v * (s**2 - np.diag(P))
+    cross = -vs[:, None] * PJ
+    hessian = np.outer(vs, vs) * P - 0.5 * np.outer(v, v) * P**2 - np.diag(slope)
+    if not len(bound):
+        return gradient, slope, cross, hessian
+
+    z, sd, mills = (x[at_node] for x in (point.nodes.standardised, point.nodes.conditional_sd, point.mills))
+    t = point.sensitivity[at_node].reshape(len(z), -1)[:, at] / sd[:, None]  # over the standard deviation
+    m, V = v * t * s, -v * t**2  # derivatives of mean and variance, over sd and variance [N, n]
+    z_theta, z_x = t @ J - bound / sd[:, None], -m - 0.5 * z[:, None] * V
+    bend = mills * (mills + z)
+    hz = 0.5 * mills * z
+    sum_t, square = mills @ t, (hz[:, None] * t).T @ t
+    vv = np.outer(v, v) * P
+    second = vv * (np.outer(s, sum_t) + np.outer(sum_t, s) - 2 * square)
+    second += np.diag(-vs * sum_t + v * np.diag(square))
+    mixed = (mills[:, None] * m).T @ V
+    second -= 0.5 * (mixed + mixed.T) + 1.5 * (hz[:, None] * V).T @ V
+    second += (bend[:, None] * z_x).T @ z_x
+    both = -v[:, None] * sum_t[:, None] * PJ
+    both += (mills[:, None] * 0.5 * V).T @ z_theta
+    both += (bend[:, None] * z_x).T @ z_theta
+    return gradient - mills @ z_theta, slope - mills @ z_x, cross + both, hessian + second
