@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 
 import pianofit.dsp
 from pianofit.dsp.bands import hann_band, kaiser_bands
-from pianofit.dsp.common_poles import Signals, poles_by_subspace, refine_poles, shift_poles
+from pianofit.dsp.common_poles import (
+    Signals,
+    _residual_and_jacobian,
+    _Sums,
+    poles_by_subspace,
+    refine_poles,
+    shift_poles,
+)
 from pianofit.dsp.damped_sums import powers, sum_damped_modes, z_transform_at_poles
 from pianofit.dsp.exponential_fit import autocorrelation_poles, fit_exponentials
 from pianofit.dsp.filters import delayed, forward_mean, reduce_rate, resample
@@ -95,6 +102,29 @@ def test_one_pole_is_the_same_by_subspace_by_common_fit_and_by_single_fit():
     np.testing.assert_allclose(start, pole, atol=0.05)
     np.testing.assert_allclose(common, single.pole, atol=1e-3)
     np.testing.assert_allclose(single(time)[0], z, atol=1e-2)
+
+
+@pytest.mark.parametrize("distance", [3.0, 1e-3, 0.0])
+def test_a_step_by_sums_is_that_by_residual_and_jacobian(distance):
+    """Also for almost parallel exponentials, and for signals of very different levels and lengths."""
+    rng = np.random.default_rng(0)
+    weight = np.exp(2.0 * np.arange(300) * 0.01) * np.array([[1.0], [1e4], [1e-3]])
+    weight[0, 25:] = 0
+    values = rng.standard_normal((3, 300)) + 1j * rng.standard_normal((3, 300))
+    signals = Signals(values * np.exp(-2.0 * np.arange(300) * 0.01), weight, 0.01)
+    pole = np.array([-1 + 2j, -1 + (2 + distance) * 1j, -4 - 5j])[: 3 if distance else 1]
+    cost, gradient, curvature = _Sums(signals).at(pole)
+    residual, jacobian = _residual_and_jacobian(pole, signals)
+    np.testing.assert_allclose(cost, np.vdot(residual, residual).real, rtol=1e-12)
+    for found, true in ((gradient, jacobian.conj().T @ residual), (curvature, jacobian.conj().T @ jacobian)):
+        np.testing.assert_allclose(found, true, atol=1e-5 * np.abs(true).max())
+
+
+def test_equal_poles_have_a_step():
+    signals = Signals(np.exp((-1 + 2j) * 0.01 * np.arange(100))[None], np.ones((1, 100)), 0.01)
+    cost, *terms = _Sums(signals).at(np.array([-2 + 1j, -2 + 1j]))
+    assert cost > 0
+    assert all(np.isfinite(term).all() for term in terms)
 
 
 def test_the_shift_of_a_subspace_gives_all_poles_of_many_signals():
