@@ -108,7 +108,7 @@ def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarra
     return square
 
 
-def _summed_products(weight: np.ndarray, shape: np.ndarray) -> NDArray[np.complex128]:
+def _summed_products(weight: np.ndarray, shape: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Σ_t weight v̄_i v_j [..., signals, modes, modes].
 
     Parameters
@@ -117,9 +117,8 @@ def _summed_products(weight: np.ndarray, shape: np.ndarray) -> NDArray[np.comple
     """
     *batch, modes, samples = shape.shape
     flat = (shape.conj()[..., :, None, :] * shape[..., None, :, :]).reshape(*batch, modes * modes, samples)
-    parts = np.concatenate([np.real(flat), np.imag(flat)], axis=-2).swapaxes(-1, -2)
-    real, imag = np.split(weight @ parts, 2, axis=-1)
-    return np.asarray(real + 1j * imag, complex).reshape(*batch, len(weight), modes, modes)
+    parts = weight @ np.concatenate([flat.real, flat.imag], axis=-2).swapaxes(-1, -2)
+    return (parts[..., : modes**2] + 1j * parts[..., modes**2 :]).reshape(*batch, len(weight), modes, modes)
 
 
 def _inverse(gram: np.ndarray, rank: float) -> NDArray[np.complex128]:
@@ -172,10 +171,11 @@ class _Sums:
         value, vector = np.linalg.eigh(shape.conj() @ shape.T)
         root = np.sqrt(np.maximum(value, STEP_RANK**2 * value[-1]))
         to_basis, from_basis = vector / root, (vector * root).conj().T  # V = basis @ from_basis
-        basis = to_basis.T @ shape
-        gram, first, second = np.split(_summed_products(self.moments, basis), 3)
-        b0, b1 = np.split(self.weighted @ basis.conj().T, 2)
-        gram[:, range(len(pole)), range(len(pole))] += RIDGE
+        basis = np.asarray(to_basis.T @ shape, complex)
+        modes = len(pole)
+        gram, first, second = _summed_products(self.moments, basis).reshape(3, -1, modes, modes)
+        b0, b1 = (self.weighted @ basis.conj().T).reshape(2, -1, modes)
+        gram = gram + RIDGE * np.eye(modes)
         solved = np.linalg.solve(gram, np.concatenate([b0[..., None], first], axis=-1))
         own, amplitude = solved[..., 0], solved[..., 0] @ to_basis.T
         cost = self.energy - float(np.vdot(b0, own).real)

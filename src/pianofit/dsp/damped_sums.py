@@ -28,8 +28,9 @@ def powers(log_z: np.ndarray, count: int) -> NDArray[np.complex128]:
     """
     block = max(math.isqrt(count), 1)
     blocks = -(-count // block)
-    begins, within = (np.exp(np.multiply.outer(log_z, n)) for n in (block * np.arange(blocks), np.arange(block)))
-    return (begins[..., None] * within[..., None, :]).reshape(*np.shape(log_z), blocks * block)[..., :count]
+    log_z = np.asarray(log_z, complex)[..., None]
+    begins, within = np.exp(log_z * (block * np.arange(blocks))), np.exp(log_z * np.arange(block))
+    return (begins[..., None] * within[..., None, :]).reshape(*log_z.shape[:-1], blocks * block)[..., :count]
 
 
 def sum_damped_modes(
