@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 
 import pianofit.dsp
 from pianofit.dsp.bands import hann_band, kaiser_bands
@@ -22,7 +23,7 @@ from pianofit.dsp.common_poles import (
 )
 from pianofit.dsp.damped_sums import powers, sum_damped_modes, z_transform_at_poles
 from pianofit.dsp.exponential_fit import autocorrelation_poles, fit_exponentials
-from pianofit.dsp.filters import delayed, forward_mean, reduce_rate, resample
+from pianofit.dsp.filters import LOWEST_HZ, ORDER, convolve, delayed, forward_mean, reduce_rate, resample, without_drift
 from pianofit.dsp.level import energy_level, level_energy, mean_time
 from pianofit.dsp.loudness import k_weighted_mean_square, log_mel_distances
 
@@ -164,6 +165,19 @@ def test_resampling_keeps_a_tone_below_half_of_both_rates():
         np.testing.assert_allclose(lower, wanted, atol=1e-3)
     assert resample(tone, RATE, RATE) is tone
     assert reduce_rate(tone, 1) is tone
+
+
+@pytest.mark.parametrize(("old", "new"), [(44_100, 48_000), (48_000, 44_100), (8, 1), (1, 2), (2, 3)])
+@pytest.mark.parametrize("count", [1, 7, 3000])
+def test_filters_are_those_of_scipy(old, new, count):
+    x = np.random.default_rng(0).standard_normal((2, count)) + 1.0
+    np.testing.assert_allclose(resample(x, old, new), signal.resample_poly(x, new, old, axis=-1), atol=1e-13)
+    np.testing.assert_allclose(convolve(x, x[0]), signal.fftconvolve(x, x[:1], axes=-1), atol=1e-10)
+    sections = signal.butter(ORDER, LOWEST_HZ, "highpass", fs=44_100, output="sos")
+    lead = min(882, count - 1)
+    extended = np.append(2 * x[0, 0] - x[0, lead:0:-1], x[0])
+    filtered = signal.sosfilt(sections, extended, zi=extended[0] * signal.sosfilt_zi(sections))[0][lead:]
+    np.testing.assert_allclose(without_drift(x[0], 44_100), filtered, atol=1e-9)
 
 
 @given(st.integers(1, 40), st.integers(1, 60))

@@ -39,7 +39,7 @@ USES = {
     "schema": "felt io model parameters",
     "inference": "analysis dsp felt io literature model parameters progress recording setup threads x64",
     "synthetic": "felt io literature model parameters recording setup",
-    "result": "analysis criterion deferred felt inference io literature model parameters progress recording schema"
+    "result": "analysis criterion deferred dsp felt inference io literature model parameters progress recording schema"
     " setup threads",
     "modal_response": "analysis dsp model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",

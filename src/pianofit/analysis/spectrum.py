@@ -50,16 +50,14 @@ def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
 
 def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:
     """Spectrum of the first `seconds` of `samples`."""
-    from scipy.signal import find_peaks
-
     part = samples[: max(64, int(seconds * rate))]
     power, step = _density(part, rate, 4)
     level = 10 * np.log10(power + 1e-40)
     level = np.maximum(level, max(-200.0, float(level.max()) - 140.0))
     # Maxima of noise rarely reach 10 dB above the 30 % quantile.
     prominence = np.clip(level - _floor(level, step, max(160.0, 40 * step)) - 10.0, 0.0, 60.0)
-    at = find_peaks(level)[0]
-    at = at[prominence[at] > 0]
+    inner = level[1:-1]
+    at = np.flatnonzero((inner > level[:-2]) & (inner >= level[2:]) & (prominence[1:-1] > 0)) + 1
     left, middle, right = level[at - 1], level[at], level[at + 1]
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.minimum(bend, -1e-12), 0.0)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
 from ..dsp.bands import Bands, hann_band
@@ -81,6 +80,8 @@ def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> n
     """
     if analysis.glide_start <= SIGNIFICANT_GLIDE * analysis.glide_error:
         return x
+    from scipy.interpolate import CubicSpline
+
     time = (np.arange(x.shape[-1]) - lead) / rate
     fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), resample(x, rate, 2 * rate), axis=-1)
     # A given phase is reached later when the pitch does not fall.
