@@ -1,8 +1,8 @@
 """Scrambled Sobol points. They equal those of `scipy.stats.qmc.Sobol`, but the import of `scipy.stats` takes 0.3 s.
 
 A coordinate of point i is the exclusive or of direction numbers, selected by the bits of the Gray code of i (Sobol
-1967; Antonov and Saleev 1979). Direction numbers follow from a primitive polynomial and a few initial values (Joe and Kuo
-2008). The scrambling is a random lower triangular matrix of bits and a random shift (Matousek 1998).
+1967; Antonov and Saleev 1979). Direction numbers follow from a primitive polynomial and a few initial values (Joe and
+Kuo 2008). The scrambling is a random lower triangular matrix of bits and a random shift (Matousek 1998).
 """
 
 from __future__ import annotations
