@@ -9,13 +9,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 
 import pianofit.dsp
 from pianofit.dsp.bands import hann_band, kaiser_bands
-from pianofit.dsp.common_poles import Signals, poles_by_subspace, refine_poles, shift_poles
+from pianofit.dsp.common_poles import (
+    Signals,
+    _residual_and_jacobian,
+    _Sums,
+    poles_by_subspace,
+    refine_poles,
+    shift_poles,
+)
 from pianofit.dsp.damped_sums import powers, sum_damped_modes, z_transform_at_poles
 from pianofit.dsp.exponential_fit import autocorrelation_poles, fit_exponentials
-from pianofit.dsp.filters import delayed, forward_mean, reduce_rate, resample
+from pianofit.dsp.filters import LOWEST_HZ, ORDER, convolve, delayed, forward_mean, reduce_rate, resample, without_drift
 from pianofit.dsp.level import energy_level, level_energy, mean_time
 from pianofit.dsp.loudness import k_weighted_mean_square, log_mel_distances
 
@@ -97,6 +105,29 @@ def test_one_pole_is_the_same_by_subspace_by_common_fit_and_by_single_fit():
     np.testing.assert_allclose(single(time)[0], z, atol=1e-2)
 
 
+@pytest.mark.parametrize("distance", [3.0, 1e-3, 0.0])
+def test_a_step_by_sums_is_that_by_residual_and_jacobian(distance):
+    """Also for almost parallel exponentials, and for signals of very different levels and lengths."""
+    rng = np.random.default_rng(0)
+    weight = np.exp(2.0 * np.arange(300) * 0.01) * np.array([[1.0], [1e4], [1e-3]])
+    weight[0, 25:] = 0
+    values = rng.standard_normal((3, 300)) + 1j * rng.standard_normal((3, 300))
+    signals = Signals(values * np.exp(-2.0 * np.arange(300) * 0.01), weight, 0.01)
+    pole = np.array([-1 + 2j, -1 + (2 + distance) * 1j, -4 - 5j])[: 3 if distance else 1]
+    cost, gradient, curvature = _Sums(signals).at(pole)
+    residual, jacobian = _residual_and_jacobian(pole, signals)
+    np.testing.assert_allclose(cost, np.vdot(residual, residual).real, rtol=1e-12)
+    for found, true in ((gradient, jacobian.conj().T @ residual), (curvature, jacobian.conj().T @ jacobian)):
+        np.testing.assert_allclose(found, true, atol=1e-5 * np.abs(true).max())
+
+
+def test_equal_poles_have_a_step():
+    signals = Signals(np.exp((-1 + 2j) * 0.01 * np.arange(100))[None], np.ones((1, 100)), 0.01)
+    cost, *terms = _Sums(signals).at(np.array([-2 + 1j, -2 + 1j]))
+    assert cost > 0
+    assert all(np.isfinite(term).all() for term in terms)
+
+
 def test_the_shift_of_a_subspace_gives_all_poles_of_many_signals():
     poles, step = np.array([[-1 + 5j, -3 - 4j], [-0.5 + 2j, -2 + 2.5j]]), 0.01
     z = np.exp(poles[:, :, None] * step * np.arange(90)).sum(axis=1)
@@ -134,6 +165,19 @@ def test_resampling_keeps_a_tone_below_half_of_both_rates():
         np.testing.assert_allclose(lower, wanted, atol=1e-3)
     assert resample(tone, RATE, RATE) is tone
     assert reduce_rate(tone, 1) is tone
+
+
+@pytest.mark.parametrize(("old", "new"), [(44_100, 48_000), (48_000, 44_100), (8, 1), (1, 2), (2, 3)])
+@pytest.mark.parametrize("count", [1, 7, 3000])
+def test_filters_are_those_of_scipy(old, new, count):
+    x = np.random.default_rng(0).standard_normal((2, count)) + 1.0
+    np.testing.assert_allclose(resample(x, old, new), signal.resample_poly(x, new, old, axis=-1), atol=1e-13)
+    np.testing.assert_allclose(convolve(x, x[0]), signal.fftconvolve(x, x[:1], axes=-1), atol=1e-10)
+    sections = signal.butter(ORDER, LOWEST_HZ, "highpass", fs=44_100, output="sos")
+    lead = min(882, count - 1)
+    extended = np.append(2 * x[0, 0] - x[0, lead:0:-1], x[0])
+    filtered = signal.sosfilt(sections, extended, zi=extended[0] * signal.sosfilt_zi(sections))[0][lead:]
+    np.testing.assert_allclose(without_drift(x[0], 44_100), filtered, atol=1e-9)
 
 
 @given(st.integers(1, 40), st.integers(1, 60))

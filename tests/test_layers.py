@@ -29,6 +29,7 @@ USES = {
     "errors": "",
     "parameters": "io",
     "recording": "dsp io",
+    "sobol": "",
     "x64": "io parameters threads",
     "analysis": "dsp io recording",
     "criterion": "analysis",
@@ -39,8 +40,8 @@ USES = {
     "schema": "felt io model parameters",
     "inference": "analysis dsp felt io literature model parameters progress recording setup threads x64",
     "synthetic": "felt io literature model parameters recording setup",
-    "result": "analysis criterion deferred felt inference io literature model parameters progress recording schema"
-    " setup threads",
+    "result": "analysis criterion deferred dsp felt inference io literature model parameters progress recording schema"
+    " setup sobol threads",
     "modal_response": "analysis dsp model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "report": "analysis dsp felt io modal_response model parameters result schema",

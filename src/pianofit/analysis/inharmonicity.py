@@ -10,6 +10,7 @@ Beyond some twenty partials, windings and shear make real strings deviate smooth
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,18 +78,26 @@ def local_deviation(detected: np.ndarray, deviation: np.ndarray, k: np.ndarray) 
     if len(detected) < NEIGHBOURS:
         return np.zeros(len(k))
     near = np.argsort(np.abs(detected - k[:, None]), axis=1, kind="stable")[:, :NEIGHBOURS]
-    x, y = detected[near].astype(float), deviation[near]
-    first, second = np.triu_indices(NEIGHBOURS, 1)
-    slope = _median((y[:, second] - y[:, first]) / (x[:, second] - x[:, first]))
-    low, high = x.min(axis=1), x.max(axis=1)
-    at = np.clip(k, 2 * low - high, 2 * high - low)
-    return _median(y + slope[:, None] * (at[:, None] - x))
+    rows = zip(detected[near].tolist(), deviation[near].tolist(), k.tolist(), strict=True)
+    return np.array([median_line(x, y, at) for x, y, at in rows])
 
 
-def _median(x: np.ndarray) -> np.ndarray:
-    """Median over the last axis; for a few numbers ten times as fast as `np.median`."""
-    sorted_x, size = np.sort(x, axis=-1), x.shape[-1]
-    return 0.5 * (sorted_x[..., (size - 1) // 2] + sorted_x[..., size // 2])
+def median_line(x: list[float], y: list[float], at: float) -> float:
+    """Value at `at` of a line through a few points, with the median of their slopes, and extrapolated by their range.
+
+    For so few numbers Python is five times as fast as NumPy.
+    """
+    points = list(zip(x, y, strict=True))
+    slope = _middle([(y2 - y1) / (x2 - x1) for i, (x1, y1) in enumerate(points) for x2, y2 in points[i + 1 :]])
+    low, high = min(x), max(x)
+    at = min(max(at, 2 * low - high), 2 * high - low)
+    return _middle([y1 + slope * (at - x1) for x1, y1 in points])
+
+
+def _middle(values: list[float]) -> float:
+    """Median of a list."""
+    ordered, size = sorted(values), len(values)
+    return 0.5 * (ordered[(size - 1) // 2] + ordered[size // 2])
 
 
 def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
@@ -100,7 +109,7 @@ def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
     n = len(residual)
     if n <= dof:
         return 0.0
-    return float(np.sqrt(max(np.median(residual**2 * (n / (n - dof)) / 0.6745**2 - error**2), 0.0)))
+    return math.sqrt(max(_middle((residual**2 * (n / (n - dof)) / 0.6745**2 - error**2).tolist()), 0.0))
 
 
 def _huber(standardised: np.ndarray) -> np.ndarray:
@@ -110,11 +119,12 @@ def _huber(standardised: np.ndarray) -> np.ndarray:
 
 def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Weighted straight line a + b x: a, b and their covariance (weights are inverse variances)."""
-    total = np.sum(weight)
-    middle = float(np.sum(weight * x) / total)
-    spread = float(np.sum(weight * (x - middle) ** 2))
-    b = float(np.sum(weight * (x - middle) * value)) / spread
-    a = float(np.sum(weight * value) / total) - b * middle
+    total = float(np.sum(weight))
+    middle = float(weight @ x) / total
+    lever = weight * (x - middle)
+    spread = float(lever @ (x - middle))
+    b = float(lever @ value) / spread
+    a = float(weight @ value) / total - b * middle
     return a, b, np.array([[1 / total + middle**2 / spread, -middle / spread], [-middle / spread, 1 / spread]])
 
 

@@ -9,12 +9,14 @@ sums include the multiples.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
 from dataclasses import replace
 
 import numpy as np
 
 from ..conversions import CENTS
-from .inharmonicity import B_RANGE, FrequencyLaw, frequency_law, law_frequency, local_deviation
+from .inharmonicity import B_RANGE, NEIGHBOURS, FrequencyLaw, frequency_law, law_frequency, median_line
 from .pitch import CLEAR, typical_B
 from .spectrum import Spectrum
 
@@ -54,8 +56,10 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> _Numbering:
     merit, number, frequency = 0.0, np.array([], int), np.array([])
     for last in _STAGES:
         for _ in range(2):
-            k = np.arange(1, last + 1)
+            k, previous = np.arange(1, last + 1), frequency
             merit, number, frequency = _assign(spec, k[law(k) < top], law)
+            if np.array_equal(frequency, previous):  # so the law does not change
+                break
             if len(number) >= 4:
                 error = np.full(len(number), spec.resolution / 20) + 5e-4 * frequency
                 law = frequency_law(number, frequency, error)
@@ -68,23 +72,25 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> _Numbering:
 
 def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np.ndarray, np.ndarray]:
     """Select a peak for each partial: high, and within a fifth of the spacing of the predicted frequency."""
+    peak, height = spec.peak.tolist(), spec.height.tolist()
     number, frequency, total = [], [], 0.0
-    spacing = law(k + 1) - law(k)
-    clear: list[tuple[int, float]] = []  # partial, and its deviation from the law, cents
-    for n, law_hz, reach in zip(k, law(k), np.maximum(0.2 * spacing, spec.step), strict=True):
-        below, deviation = np.array(clear).reshape(-1, 2).T
-        f = law_hz * float(np.exp(local_deviation(below, deviation, np.array([n]))[0] / CENTS))
-        low, high = np.searchsorted(spec.peak, [f - reach, f + reach])
-        if low == high:
-            continue
-        merit = spec.height[low:high] - 40.0 * ((spec.peak[low:high] - f) / reach) ** 2
-        best = int(np.argmax(merit))
-        if merit[best] > _MIN_HEIGHT:
+    reaches = np.maximum(0.2 * (law(k + 1) - law(k)), spec.step)
+    clear: list[float] = []  # partials
+    deviation: list[float] = []  # of them from the law, cents
+    for n, law_hz, reach in zip(k.tolist(), law(k).tolist(), reaches.tolist(), strict=True):
+        f = law_hz
+        if len(clear) >= NEIGHBOURS:
+            f *= math.exp(median_line(clear[-NEIGHBOURS:], deviation[-NEIGHBOURS:], n) / CENTS)
+        low, high = bisect_left(peak, f - reach), bisect_left(peak, f + reach)
+        merits = [height[i] - 40.0 * ((peak[i] - f) / reach) ** 2 for i in range(low, high)]
+        if max(merits, default=0.0) > _MIN_HEIGHT:
+            best = low + merits.index(max(merits))
             number.append(n)
-            frequency.append(spec.peak[low + best])
-            total += float(merit[best])
-            if spec.height[low + best] > CLEAR:
-                clear.append((int(n), CENTS * float(np.log(frequency[-1] / law_hz))))
+            frequency.append(peak[best])
+            total += max(merits)
+            if height[best] > CLEAR:
+                clear.append(n)
+                deviation.append(CENTS * math.log(peak[best] / law_hz))
     return total, np.array(number, int), np.array(frequency)
 
 

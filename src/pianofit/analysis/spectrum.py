@@ -23,10 +23,17 @@ class Spectrum:
 
 
 def _density(samples: np.ndarray, rate: int, pad: int, beta: float = _BETA) -> tuple[np.ndarray, float]:
-    window = np.kaiser(len(samples), beta)
+    window = _kaiser(len(samples), beta)
     size = fast_length(pad * len(samples))
     bins = np.fft.rfft(samples * window, size)
     return 2 * np.abs(bins) ** 2 / (rate * np.sum(window**2)), rate / size
+
+
+def _kaiser(count: int, beta: float) -> np.ndarray:
+    """Kaiser window of at least two samples, by half of the Bessel functions that `np.kaiser` computes."""
+    middle = (count - 1) / 2
+    half = np.i0(beta * np.sqrt(1 - ((np.arange((count + 1) // 2) - middle) / middle) ** 2)) / np.i0(beta)
+    return np.concatenate([half, half[: count // 2][::-1]])
 
 
 def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
@@ -43,16 +50,14 @@ def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
 
 def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:
     """Spectrum of the first `seconds` of `samples`."""
-    from scipy.signal import find_peaks
-
     part = samples[: max(64, int(seconds * rate))]
     power, step = _density(part, rate, 4)
     level = 10 * np.log10(power + 1e-40)
     level = np.maximum(level, max(-200.0, float(level.max()) - 140.0))
     # Maxima of noise rarely reach 10 dB above the 30 % quantile.
     prominence = np.clip(level - _floor(level, step, max(160.0, 40 * step)) - 10.0, 0.0, 60.0)
-    at = find_peaks(level)[0]
-    at = at[prominence[at] > 0]
+    inner = level[1:-1]
+    at = np.flatnonzero((inner > level[:-2]) & (inner >= level[2:]) & (prominence[1:-1] > 0)) + 1
     left, middle, right = level[at - 1], level[at], level[at + 1]
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.minimum(bend, -1e-12), 0.0)
@@ -73,7 +78,7 @@ def noise_between(
     # The foot of a peak is a quarter of a spacing wide. Side lobes 135 dB down are below any noise.
     reach = np.pi * 0.25 * spacing * len(part) / rate
     power, step = _density(part, rate, 1, float(np.clip(reach, _BETA, 18.0)))
-    frequency = np.arange(len(power)) * step
+    frequency = np.arange(min(len(power), int((wanted.max() + 2 * spacing) / step) + 2)) * step
     place = np.searchsorted(expected, frequency)
     padded = np.concatenate([[-np.inf], expected, [np.inf]])
     distance = np.minimum(frequency - padded[place], padded[place + 1] - frequency)

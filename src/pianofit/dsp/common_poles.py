@@ -6,7 +6,8 @@ length cannot.
 
 Several signals can share their poles, each with its own amplitudes. The subspace is then that of the sum of their
 Hankel covariances. The refinement projects the amplitudes out (Golub and Pereyra 1973, with Kaufman's Jacobian) and
-minimises the residual of all signals by Levenberg-Marquardt steps.
+minimises the residual of all signals by Levenberg-Marquardt steps. All that a step needs are sums over time of products
+of two exponentials or of an exponential and a signal, so the sums of all signals are one matrix product.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .damped_sums import powers
+
 # Samples of a signal that the subspace and the refinement use. A few poles gain nothing from more.
 SAMPLES_USED = 240
 # Samples of a signal per column of its Hankel matrix. The error of poles is least between one third and two thirds of
@@ -26,6 +29,8 @@ SAMPLES_A_COLUMN = 3
 RANK = 3e-3
 # The same threshold where only the direction of a step depends on it.
 STEP_RANK = 1e-6
+# Added to the diagonal of the sums of a signal, which are about 1. Equal poles would make them exactly singular.
+RIDGE = 1e-20
 
 
 class Signals(NamedTuple):
@@ -52,8 +57,15 @@ class Signals(NamedTuple):
 
 
 def shift_poles(subspace: np.ndarray, step: float) -> NDArray[np.complex128]:
-    """Poles, 1/s [..., modes], of the signal subspaces [..., rows, modes] of Hankel matrices with this step, s."""
-    shift = np.linalg.pinv(subspace[..., :-1, :]) @ subspace[..., 1:, :]
+    """Poles, 1/s [..., modes], of the signal subspaces [..., rows, modes] of Hankel matrices with this step, s.
+
+    The columns of a subspace are orthonormal. Without their last row r they have the products 1 - r̄ rᵀ, whose inverse
+    is known (Sherman and Morrison 1950).
+    """
+    last = subspace[..., -1:, :].conj().swapaxes(-1, -2)  # r̄ as a column
+    shift = subspace[..., :-1, :].conj().swapaxes(-1, -2) @ subspace[..., 1:, :]
+    row = last.conj().swapaxes(-1, -2)
+    shift = shift + last @ (row @ shift) / (1 - row @ last)
     return np.asarray(np.log(np.linalg.eigvals(shift)) / step, complex)
 
 
@@ -88,39 +100,89 @@ def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarra
     ends = np.stack([z[rows : rows + columns - 1] for z, rows in zip(signals, counts, strict=True)])
     begins = np.stack([z[: columns - 1] for z in signals])
     increment = ends.T @ ends.conj() - begins.T @ begins.conj()
-    covariance = np.empty((columns, columns), complex)
-    covariance[0], covariance[:, 0] = first_row.conj(), first_row
-    for i in range(columns - 1):
-        covariance[i + 1, 1:] = covariance[i, :-1] + increment[i]
-    return covariance
+    # In rows of `2 columns`, an entry and the next one along its diagonal are `2 columns + 1` apart.
+    entries = np.zeros((columns, 2 * columns + 1), complex)
+    square = entries.reshape(-1)[: 2 * columns * columns].reshape(columns, 2 * columns)[:, :columns]
+    square[0], square[:, 0], square[1:, 1:] = first_row.conj(), first_row, increment
+    np.cumsum(entries, axis=0, out=entries)
+    return square
 
 
-def _inverse(v: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Orthonormal columns Q of v = Q R, its adjoint, and the pseudo-inverse of R."""
-    q, r = np.linalg.qr(v)
-    return q, q.conj().swapaxes(-1, -2), np.linalg.pinv(r, rcond=rank)
+def _summed_products(weight: np.ndarray, shape: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ_t weight v̄_i v_j [..., signals, modes, modes].
+
+    Parameters
+    ----------
+    weight, shape : weights [signals, samples], and exponentials v [..., modes, samples].
+    """
+    *batch, modes, samples = shape.shape
+    flat = (shape.conj()[..., :, None, :] * shape[..., None, :, :]).reshape(*batch, modes * modes, samples)
+    parts = weight @ np.concatenate([flat.real, flat.imag], axis=-2).swapaxes(-1, -2)
+    return (parts[..., : modes**2] + 1j * parts[..., modes**2 :]).reshape(*batch, len(weight), modes, modes)
+
+
+def _inverse(gram: np.ndarray, rank: float) -> NDArray[np.complex128]:
+    """Pseudo-inverse of VᴴV [..., modes, modes], for singular values of V above `rank` times the largest."""
+    value, vector = np.linalg.eigh(gram)
+    resolved = value > rank**2 * value[..., -1:]
+    scaled = vector * np.where(resolved, 1 / np.where(resolved, value, 1.0), 0.0)[..., None, :]
+    return scaled @ vector.conj().swapaxes(-1, -2)
 
 
 def fit_amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
-    """Amplitudes in every signal at its first sample, by weighted least squares [signals, modes]."""
-    v = np.exp(np.outer(signals.time, pole))
-    scale = np.linalg.norm(v, axis=0)
-    _, adjoint, inverse = _inverse(signals.weight[..., None] * (v / scale), RANK)
-    return (inverse @ (adjoint @ (signals.values * signals.weight)[..., None]))[..., 0] / scale
+    """Amplitudes in every signal at its first sample, by weighted least squares [..., signals, modes].
+
+    Parameters
+    ----------
+    pole : one set of poles, or several, 1/s [..., modes].
+    """
+    shape = powers(pole * signals.step, signals.values.shape[-1])
+    scale = np.linalg.norm(shape, axis=-1)
+    shape = shape / scale[..., None]
+    power = signals.weight**2
+    projected = (signals.values * power) @ shape.conj().swapaxes(-1, -2)
+    inverse = _inverse(_summed_products(power, shape), RANK)
+    return (inverse @ projected[..., None])[..., 0] / scale[..., None, :]
 
 
-def _residual_and_jacobian(pole: np.ndarray, signals: Signals) -> tuple[float, np.ndarray, np.ndarray]:
-    """Cost, residual r [all samples] and Kaufman's Jacobian of -r with respect to the poles [all samples, modes]."""
-    time = signals.time
-    v = np.exp(np.outer(time, pole)) * signals.weight[..., None]
-    q, adjoint, inverse = _inverse(v, STEP_RANK)
-    y = (signals.values * signals.weight)[..., None]
-    projected = adjoint @ y
-    derivative = time[:, None] * v * (inverse @ projected).swapaxes(-1, -2)
-    normalisation = 1 / np.sqrt(signals.length)[:, None, None]
-    residual = ((y - q @ projected) * normalisation).ravel()
-    jacobian = ((derivative - q @ (adjoint @ derivative)) * normalisation).reshape(-1, len(pole))
-    return float(np.vdot(residual, residual).real), residual, jacobian
+class _Sums:
+    """Sums over time of weighted signals, and what they say about poles.
+
+    The basis is orthonormal under the mean weight of the signals, because exponentials of close poles are almost
+    parallel. Sums of their own products would lose half of the digits.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        time, power = signals.time, signals.weight**2 / signals.length[:, None]
+        self.step = signals.step
+        self.mean = np.sqrt(power.mean(axis=0))
+        relative = power / np.where(self.mean > 0, self.mean, 1.0) ** 2
+        self.moments = np.concatenate([relative, relative * time, relative * time**2])  # [3 times signals, samples]
+        weighted = signals.values * relative * self.mean
+        self.weighted = np.concatenate([weighted, weighted * time])  # [2 times signals, samples]
+        self.energy = float(np.vdot(signals.values, signals.values * power).real)
+
+    def at(self, pole: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost, Jᴴr [modes] and JᴴJ [modes, modes] of the residual r and Kaufman's Jacobian J of -r by the poles.
+
+        With V the exponentials in a signal, a their amplitudes and t the time, J = (1 - V V⁺) t V diag(a).
+        """
+        shape = powers(pole * self.step, len(self.mean)) * self.mean
+        value, vector = np.linalg.eigh(shape.conj() @ shape.T)
+        root = np.sqrt(np.maximum(value, STEP_RANK**2 * value[-1]))
+        to_basis, from_basis = vector / root, (vector * root).conj().T  # V = basis @ from_basis
+        basis = np.asarray(to_basis.T @ shape, complex)
+        modes = len(pole)
+        gram, first, second = _summed_products(self.moments, basis).reshape(3, -1, modes, modes)
+        b0, b1 = (self.weighted @ basis.conj().T).reshape(2, -1, modes)
+        gram = gram + RIDGE * np.eye(modes)
+        solved = np.linalg.solve(gram, np.concatenate([b0[..., None], first], axis=-1))
+        own, amplitude = solved[..., 0], solved[..., 0] @ to_basis.T
+        cost = self.energy - float(np.vdot(b0, own).real)
+        slope = (b1 - (first @ own[..., None])[..., 0]) @ from_basis.conj()
+        gradient = np.sum(amplitude.conj() * slope, axis=0)
+        curvature = from_basis.conj().T @ (second - first @ solved[..., 1:]) @ from_basis
+        return cost, gradient, np.einsum("si,sj,sij->ij", amplitude.conj(), amplitude, curvature)
 
 
 def refine_poles(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -128,16 +190,15 @@ def refine_poles(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray],
 
     The weight of a signal does not depend on its length.
     """
-    thin, damping = signals.decimated(), 1e-3
-    cost, residual, jacobian = _residual_and_jacobian(pole, thin)
+    sums, damping = _Sums(signals.decimated()), 1e-3
+    cost, gradient, curvature = sums.at(pole)
     for _ in range(12):
-        curvature = jacobian.conj().T @ jacobian
         damped = curvature + damping * np.diag(np.real(np.diag(curvature)) + 1e-12)
-        trial = box(pole + np.linalg.solve(damped, jacobian.conj().T @ residual))
-        trial_cost, trial_residual, trial_jacobian = _residual_and_jacobian(trial, thin)
+        trial = box(pole + np.linalg.solve(damped, gradient))
+        trial_cost, *trial_terms = sums.at(trial)
         if trial_cost < cost:
             converged = cost - trial_cost < 1e-4 * cost
-            pole, cost, residual, jacobian = trial, trial_cost, trial_residual, trial_jacobian
+            pole, cost, (gradient, curvature) = trial, trial_cost, trial_terms
             damping /= 5
             if converged:
                 break
@@ -148,6 +209,20 @@ def refine_poles(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray],
     return pole
 
 
+def _residual_and_jacobian(pole: np.ndarray, signals: Signals) -> tuple[np.ndarray, np.ndarray]:
+    """Residual r [all samples] and Kaufman's Jacobian of -r with respect to the poles [all samples, modes]."""
+    time = signals.time
+    v = np.exp(np.outer(time, pole)) * signals.weight[..., None]
+    q, triangle = np.linalg.qr(v)
+    adjoint, inverse = q.conj().swapaxes(-1, -2), np.linalg.pinv(triangle, rcond=STEP_RANK)
+    y = (signals.values * signals.weight)[..., None]
+    projected = adjoint @ y
+    derivative = time[:, None] * v * (inverse @ projected).swapaxes(-1, -2)
+    normalisation = 1 / np.sqrt(signals.length)[:, None, None]
+    residual = ((y - q @ projected) * normalisation).ravel()
+    return residual, ((derivative - q @ (adjoint @ derivative)) * normalisation).reshape(-1, len(pole))
+
+
 def standard_errors(pole: np.ndarray, signals: Signals, correlated: float) -> np.ndarray:
     """Standard errors of real and imaginary part of the poles, 1/s [modes], from the residual (Huber's sandwich).
 
@@ -155,7 +230,7 @@ def standard_errors(pole: np.ndarray, signals: Signals, correlated: float) -> np
     ----------
     correlated : samples per independent sample. It exceeds 1 because the band is narrower than the frame rate.
     """
-    _, residual, jacobian = _residual_and_jacobian(pole, signals)
+    residual, jacobian = _residual_and_jacobian(pole, signals)
     inverse = np.linalg.pinv(jacobian.conj().T @ jacobian, rcond=1e-10)
     meat = (jacobian.conj().T * np.abs(residual) ** 2) @ jacobian
     return np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse).real * correlated / 2, 0.0))

@@ -7,6 +7,7 @@ exponential per sample. `model/damped_sums.py` has the same sums with derivative
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +23,14 @@ LARGEST_BLOCK = 512
 def powers(log_z: np.ndarray, count: int) -> NDArray[np.complex128]:
     """Compute z^n, n < count, complex [..., count], from log z [...].
 
-    Each step doubles the number of powers. So there are log2(count) exponentials and roundings per row.
+    A power is the product of that at the start of its block and that within the block. So there are about 2 √count
+    exponentials per row.
     """
-    out = np.ones((*np.shape(log_z), count), complex)
-    done = 1
-    while done < count:
-        added = min(done, count - done)
-        np.multiply(out[..., :added], np.exp(log_z * done)[..., None], out=out[..., done : done + added])
-        done += added
-    return out
+    block = max(math.isqrt(count), 1)
+    blocks = -(-count // block)
+    log_z = np.asarray(log_z, complex)[..., None]
+    begins, within = np.exp(log_z * (block * np.arange(blocks))), np.exp(log_z * np.arange(block))
+    return (begins[..., None] * within[..., None, :]).reshape(*log_z.shape[:-1], blocks * block)[..., :count]
 
 
 def sum_damped_modes(

@@ -48,8 +48,7 @@ def autocorrelation_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) 
     """
     step = float(t[1] - t[0])
     d = int(np.clip(round(lag / step), 1, max(1, (len(t) - 1) // 3)))
-    first = np.einsum("ij,ij->i", z[:, d:], z[:, :-d].conj())
-    second = np.einsum("ij,ij->i", z[:, 2 * d :], z[:, : -2 * d].conj())
+    first, second = np.vecdot(z[:, :-d], z[:, d:]), np.vecdot(z[:, : -2 * d], z[:, 2 * d :])
     silent = first == 0
     ratio = np.where(silent, 1, second) / np.where(silent, 1, first)
     return np.asarray(np.log(ratio) / (d * step), complex)
@@ -66,6 +65,7 @@ def fit_exponentials(
     tau, step = t - t[0], float(t[1] - t[0])
     span = max(float(tau[-1]), 1e-9)
     lowest, highest = -(60 / span + 400), 5 / span
+    moments = tau[:, None] ** np.arange(3)
 
     def limited(pole: NDArray[np.complex128]) -> NDArray[np.complex128]:
         change = pole - start
@@ -77,12 +77,11 @@ def fit_exponentials(
     for _ in range(steps + 1):
         trial = limited(np.asarray(pole + factor * update, complex))
         wave = powers(trial * step, len(t))
-        size = wave.real**2 + wave.imag**2
-        s0, s1, s2 = size @ np.ones_like(tau), size @ tau, size @ tau**2
-        own = np.einsum("ij,ij->i", wave.conj(), z) / s0
+        s0, s1, s2 = ((np.square(wave.real) + np.square(wave.imag)) @ moments).T
+        own = np.vecdot(wave, z) / s0
         residual = z - own[:, None] * wave
-        misfit = np.einsum("ij,ij->i", residual.conj(), residual).real
-        slope = np.einsum("ij,ij->i", wave.conj(), residual * tau) / (s2 - s1**2 / s0)
+        misfit = np.vecdot(residual, residual).real
+        slope = np.vecdot(wave, residual * tau) / (s2 - s1**2 / s0)
         newton = np.where(own == 0, 0, slope / np.where(own == 0, 1, own))
         better = misfit <= cost
         pole, amplitude, cost, update = (

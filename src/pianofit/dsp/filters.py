@@ -1,20 +1,66 @@
-"""Filters of sampled sounds: resampling, delay, removal of drift, moving average."""
+"""Filters of sampled sounds: resampling, convolution, delay, removal of drift, moving average.
+
+They use NumPy alone. `scipy.signal` has them too, but its import takes longer than the analysis of a recording.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
 
+from .bands import fast_length
+from .damped_sums import powers
+
 LOWEST_HZ = 20.0  # a piano has no partial below it, only offset, drift or rumble
+# Order of the Butterworth filter at `LOWEST_HZ`.
+ORDER = 4
+# Samples of a block of the recursive filter.
+BLOCK = 128
+# Zero crossings of the resampling filter on each side, and the β of its Kaiser window, as in `scipy.signal`.
+ZERO_CROSSINGS = 10
+KAISER_BETA = 5.0
+
+
+def convolve(x: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Full convolution of a sound [..., samples] with a response [samples]."""
+    count = x.shape[-1] + len(response) - 1
+    size = fast_length(count)
+    return np.fft.irfft(np.fft.rfft(x, size) * np.fft.rfft(response, size), size)[..., :count]
 
 
 def resample(x: np.ndarray, old: int, new: int) -> np.ndarray:
-    """Resample a sound [..., samples] from the rate `old` to the rate `new`, Hz, by a polyphase filter."""
-    from scipy.signal import resample_poly
+    """Resample a sound [..., samples] from the rate `old` to the rate `new`, Hz, by a polyphase filter.
 
+    Output n lies at the input sample n down/up. Every up-th output has the same filter, so each such group is a product
+    of windows of the input with one row of coefficients.
+    """
     divisor = math.gcd(old, new)
-    return x if new == old else resample_poly(x, new // divisor, old // divisor, axis=-1)
+    up, down = new // divisor, old // divisor
+    if up == down:
+        return x
+    response = _low_pass(up, down)
+    reach, count = len(response) // 2, -(-x.shape[-1] * up // down)
+    out = np.empty((*x.shape[:-1], count))
+    taps = 2 * reach // up + 1
+    padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [(taps, taps + down)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, taps, axis=-1)
+    for first in range(min(up, count)):
+        begin = -((reach - first * down) // up)  # the first input sample within reach of output `first`
+        row = response[first * down + reach - begin * up :: -up][:taps]
+        group = out[..., first::up]
+        group[...] = windows[..., begin + taps :: down, : len(row)][..., : group.shape[-1], :] @ row
+    return out
+
+
+@functools.lru_cache(maxsize=8)
+def _low_pass(up: int, down: int) -> np.ndarray:
+    """Impulse response of the resampling filter at `up` times the old rate; its cutoff is half of the lower rate."""
+    ratio = max(up, down)
+    reach = ZERO_CROSSINGS * ratio
+    response = np.sinc(np.arange(-reach, reach + 1) / ratio) * np.kaiser(2 * reach + 1, KAISER_BETA)
+    return response * (up / response.sum())
 
 
 def reduce_rate(x: np.ndarray, factor: int) -> np.ndarray:
@@ -22,12 +68,13 @@ def reduce_rate(x: np.ndarray, factor: int) -> np.ndarray:
 
     This uses one Fourier transform. So both ends must be silent, because they wrap around.
     """
-    from scipy.signal import resample
-
     if factor == 1:
         return x
     size = -(-x.shape[-1] // factor)
-    return np.asarray(resample(np.pad(x, ((0, 0), (0, size * factor - x.shape[-1]))), size, axis=-1))
+    spectrum = np.fft.rfft(x, size * factor)[..., : size // 2 + 1]
+    if size % 2 == 0:  # the highest bin holds the components at plus and minus half the rate
+        spectrum[..., -1] *= 2
+    return np.fft.irfft(spectrum / factor, size)
 
 
 def delayed(x: np.ndarray, samples: float) -> np.ndarray:
@@ -50,9 +97,39 @@ def without_drift(x: np.ndarray, rate: int) -> np.ndarray:
     The filter is causal: a sample does not affect earlier ones. `x` is extended before its beginning by a point
     reflection, so that an offset or a drift does not cause a step.
     """
-    from scipy.signal import butter, sosfilt, sosfilt_zi
-
     lead = min(round(0.02 * rate), len(x) - 1)
-    extended = np.append(2 * x[0] - x[lead:0:-1], x)
-    sections = butter(4, LOWEST_HZ, "highpass", fs=rate, output="sos")
-    return sosfilt(sections, extended, zi=extended[0] * sosfilt_zi(sections))[0][lead:]
+    extended = np.append(2 * x[0] - x[lead:0:-1], x) - (2 * x[0] - x[lead])
+    log_pole, residue, direct = _highpass(rate)
+    return (direct * extended + 2 * _decaying_sum(extended, log_pole, residue))[lead:]
+
+
+def _highpass(rate: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Logarithms of the upper poles, their residues, and the direct term of the filter at `LOWEST_HZ`.
+
+    The impulse response is the direct term at n = 0 plus twice the real part of Σ residue pole^n. The Butterworth poles
+    a are mapped by the bilinear transform to (1 + a)/(1 - a), all close to 1, with all zeros at 1. Differences of poles
+    are therefore written in a.
+    """
+    angle = np.pi * (np.arange(ORDER) + 0.5) / ORDER  # of the analogue poles from the imaginary axis
+    a = 1j * np.tan(np.pi * LOWEST_HZ / rate) * np.exp(1j * angle)
+    gain = 1 / float(np.prod(1 - a).real)  # 1 at half the rate
+    ratio = 2 * (a[:, None] - a) / ((1 + a[:, None]) * (1 - a))  # 1 - pole / pole
+    residue = gain * (2 * a / (1 + a)) ** ORDER / np.where(np.eye(ORDER, dtype=bool), 1.0, ratio).prod(axis=1)
+    upper = a.imag > 0
+    return 2 * np.arctanh(a[upper]), residue[upper], 1 / float(np.prod(1 + a).real)
+
+
+def _decaying_sum(x: np.ndarray, log_pole: np.ndarray, residue: np.ndarray) -> np.ndarray:
+    """Re Σ_m residue pole^m x[n - m], summed over poles [samples]: products of blocks, and one state per block."""
+    rows = np.pad(x, (0, -len(x) % BLOCK)).reshape(-1, BLOCK)
+    power = powers(log_pole, BLOCK + 1)
+    response = np.append((residue @ power[:, :BLOCK]).real, np.zeros(BLOCK))
+    out = rows @ np.stack([np.roll(response, i)[:BLOCK] for i in range(BLOCK)])
+    reverse = power[:, BLOCK - 1 :: -1]
+    real, imag = rows @ reverse.real.T, rows @ reverse.imag.T
+    state, states = np.zeros(len(residue), complex), np.empty((len(rows), len(residue)), complex)
+    for i, end in enumerate(real + 1j * imag):
+        states[i] = state
+        state = power[:, BLOCK] * state + end
+    out += ((states * residue) @ power[:, 1:]).real
+    return out.reshape(-1)[: len(x)]

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
 from ..dsp.bands import Bands, hann_band
+from ..dsp.damped_sums import powers
 from ..dsp.filters import resample
 from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import Recording
@@ -80,6 +80,8 @@ def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> n
     """
     if analysis.glide_start <= SIGNIFICANT_GLIDE * analysis.glide_error:
         return x
+    from scipy.interpolate import CubicSpline
+
     time = (np.arange(x.shape[-1]) - lead) / rate
     fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), resample(x, rate, 2 * rate), axis=-1)
     # A given phase is reached later when the pitch does not fall.
@@ -135,9 +137,10 @@ def _offsets(b: Bands, expected: np.ndarray, reach: float) -> tuple[np.ndarray, 
     """Offset of each layer's partial from the last layer's, Hz, within `reach` of `expected`, and its coherence."""
     frames = (b.time > COMPARED[0]) & (b.time < COMPARED[1])
     z, time = b.z[..., frames], b.time[frames]
-    turn = z * z[-1].conj() * np.exp(-2j * np.pi * expected[:, None, None] * time)
+    turn = z * z[-1].conj() * np.exp(-2j * np.pi * expected[:, None] * time)[:, None]
     turn = turn / np.sqrt(np.abs(turn) + 1e-30)
     trial = np.linspace(-1, 1, 121) * reach
-    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time, trial))).sum(axis=1)
+    # A common phase of all frames does not change a magnitude.
+    sums = np.abs(turn @ powers(-2j * np.pi * b.step * trial, len(time)).T).sum(axis=1)
     best = np.argmax(sums, axis=1)
     return expected + trial[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)

@@ -17,15 +17,15 @@ import numpy as np
 from ..analysis import Analysis, law_frequency
 from ..dsp.bands import Bands
 from ..dsp.common_poles import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
-from ..dsp.damped_sums import sum_damped_modes
+from ..dsp.damped_sums import powers, sum_damped_modes
 from .aligned_layers import AlignedLayers, partial_band, relative_pitches, track_offsets
 from .valid_frames import RANGE, ValidFrames, select_valid_frames
 
 # Numbers of modes that a partial can have.
 ORDERS = (1, 2, 3, 4)
-# Exponential weights of the subspace estimate, in decay rates of the single mode: 0 favours the attack, 1 the
-# aftersound.
-LIFTS = (0.0, 0.4, 0.8)
+# Exponential weights of the subspace estimate besides 0, which favours the attack, in decay rates of the single mode;
+# 1 favours the aftersound.
+LIFTS = (0.4, 0.8)
 # Partials whose modes lie this far below those of the strongest partial, dB, are discarded.
 FAINTEST = -65.0
 # Fastest decay of a mode: a constant, 1/s, or a multiple of the decay rate of a single-mode fit, whichever is larger.
@@ -129,10 +129,10 @@ def _fit(
     count = layers.samples.shape[-1]
     b = partial_band(spectrum, count, layers.rate, frequency, spacing)
     if first is not None:
-        b = replace(b, z=b.z + np.stack([_in_band(first, i, b) for i in range(len(b.z))]))
+        b = replace(b, z=b.z + _in_band(first, b))
     between = np.abs(partial_band(spectrum, count, layers.rate, frequency + spacing / 2, spacing).z)
     offset = track_offsets(b, pitch)
-    b = replace(b, z=b.z * np.exp(-2j * np.pi * offset[:, None, None] * b.time))
+    b = replace(b, z=b.z * np.exp(-2j * np.pi * np.outer(offset, b.time))[:, None])
     valid = select_valid_frames(b, between, layers.seconds)
     selected = None if valid is None else _select_order(valid, spacing, b, quick=first is None)
     if valid is None or selected is None:
@@ -152,42 +152,39 @@ def _fit(
     )
 
 
-def _in_band(modes: PartialModes, layer: int, b: Bands) -> np.ndarray:
-    """Signal of modes in their band, valid after the edge of the window [channels, frames]."""
-    amplitude = modes.amplitude[layer] * b.gain(modes.pole) / 2
-    turn = np.exp(2j * np.pi * modes.offset[layer] * b.time)
-    return amplitude @ np.exp(np.outer(modes.pole, b.time - modes.start)) * turn
+def _in_band(modes: PartialModes, b: Bands) -> np.ndarray:
+    """Signal of modes in their band, valid after the edge of the window [layers, channels, frames]."""
+    amplitude = modes.amplitude * (b.gain(modes.pole) * np.exp(-modes.pole * modes.start) / 2)
+    turn = np.exp(2j * np.pi * np.outer(modes.offset, b.time))
+    return amplitude @ powers(modes.pole * b.step, len(b.time)) * turn[:, None]
 
 
 def _select_order(valid: ValidFrames, spacing: float, b: Bands, quick: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Poles and amplitudes of the order with the highest evidence."""
-    single = poles_by_subspace(valid.signals, valid.scale, [1], 0.0).get(1)
-    if single is None:
+    orders = ORDERS[::2] if quick else ORDERS
+    unlifted = poles_by_subspace(valid.signals, valid.scale, ORDERS[:1] if quick else ORDERS, 0.0)
+    if 1 not in unlifted:
         return None
-    decay = -float(single[0].real)
+    decay = -float(unlifted[1][0].real)
     fastest = max(FASTEST, FASTEST_RATIO * decay)
     widest = 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / b.window)
 
     def box(pole: np.ndarray) -> np.ndarray:
         return np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
 
-    starts: dict[int, tuple[float, np.ndarray]] = {}
-    for lift in LIFTS[1:] if quick else LIFTS:
-        orders = ORDERS[::2] if quick else ORDERS
-        for order, pole in poles_by_subspace(valid.signals, valid.scale, orders, lift * max(decay, 0)).items():
-            pole = box(pole)
-            pattern_misfit = _score_poles(pole, valid)[2]
-            if order not in starts or pattern_misfit < starts[order][0]:
-                starts[order] = pattern_misfit, pole
-    best = None
+    lifted = [poles_by_subspace(valid.signals, valid.scale, orders, lift * max(decay, 0)) for lift in LIFTS]
+    found = lifted if quick else [unlifted, *lifted]
+    misfits, best = _Misfits(valid), None
     samples = valid.signals.length.sum() * min(1.0, b.noise_width * b.step)  # frames at a higher rate are correlated
-    for order, (_, start) in starts.items():
-        pole = start if quick else refine_poles(start, valid.signals, box)
-        amplitude, own_misfit, pattern_misfit = _score_poles(pole, valid)
+    for order in (order for order in orders if order in found[0]):
+        starts = box(np.stack([poles[order] for poles in found]))
+        pole = starts[np.argmin(misfits.by_pattern(starts, misfits.amplitudes(starts)))]
+        pole = pole if quick else refine_poles(pole, valid.signals, box)
+        amplitude = misfits.amplitudes(pole)
         # Log evidence of the order (Schwarz 1978), the mean of those of both misfits. n samples with unknown variance
         # have the log likelihood -n log misfit. Each mode costs log n for its pole and for its amplitude in every
         # signal.
-        score = -samples * np.log(own_misfit * pattern_misfit) / 2
+        score = -samples * np.log(misfits.by_own(pole, amplitude) * misfits.by_pattern(pole, amplitude)) / 2
         score -= order * (len(valid.signals.values) + 1) * np.log(samples)
         # A pole at the fastest decay belongs to the knock and is rejected, except with order 1, which comes first.
         if best is None or (score > best[0] and np.real(pole).min() > -fastest):
@@ -195,47 +192,54 @@ def _select_order(valid: ValidFrames, spacing: float, b: Bands, quick: bool) -> 
     return None if best is None else best[1]
 
 
-def _score_poles(pole: np.ndarray, valid: ValidFrames) -> tuple[np.ndarray, float, float]:
-    """Amplitudes [layers, channels, modes], and the geometric means over layers of two misfits.
+class _Misfits:
+    """Geometric means over layers of two misfits of poles: with a layer's own amplitudes, and with a common pattern."""
 
-    The first misfit uses a layer's own amplitudes. The second uses the pattern of the other layers and a complex gain.
-    """
-    own = np.zeros((*valid.above_noise.shape, len(pole)), complex)
-    own[valid.above_noise] = fit_amplitudes(pole, valid.signals)
-    layers = np.flatnonzero(valid.above_noise.any(axis=1))
-    others = own if len(layers) == 1 else np.zeros_like(own)
-    if len(layers) > 1:
-        index = np.array([layers[layers != layer] for layer in layers])
-        others[layers] = common_pattern(own[index], valid.noise[index])[0]
-    shape = np.exp(np.outer(valid.signals.time, pole)).T
-    weight = valid.signals.weight
-    observed, by_own, by_others = (
-        _by_layer(x * weight, valid.above_noise)
-        for x in (valid.signals.values, own[valid.above_noise] @ shape, others[valid.above_noise] @ shape)
-    )
-    gain = (by_others.conj() * observed).sum(axis=-1) / np.maximum((np.abs(by_others) ** 2).sum(axis=-1), 1e-300)
-    own_misfit, pattern_misfit = (
-        float(np.exp(np.mean(np.log(_misfit(observed - x, observed)[layers]))))
-        for x in (by_own, gain[:, None] * by_others)
-    )
-    return own, own_misfit, pattern_misfit
+    def __init__(self, valid: ValidFrames) -> None:
+        self.valid = valid
+        layer = np.nonzero(valid.above_noise)[0]  # of each signal
+        self.layers, self.place = np.unique(layer, return_inverse=True)
+        self.member = (layer[:, None] == self.layers).astype(float)  # [signals, layers above the noise]
+        self.observed = valid.signals.values * valid.signals.weight
+        self.power = np.real(self.observed) ** 2 + np.imag(self.observed) ** 2
 
+    def amplitudes(self, pole: np.ndarray) -> np.ndarray:
+        """Amplitudes [..., layers, channels, modes] of poles [..., modes]; zero where a channel is below the noise."""
+        own = np.zeros((*pole.shape[:-1], *self.valid.above_noise.shape, pole.shape[-1]), complex)
+        own[..., self.valid.above_noise, :] = fit_amplitudes(pole, self.valid.signals)
+        return own
 
-def _by_layer(x: np.ndarray, above_noise: np.ndarray) -> np.ndarray:
-    """Signals above the noise, with the channels of a layer concatenated [layers, channels times frames]."""
-    out = np.zeros((*above_noise.shape, x.shape[-1]), complex)
-    out[above_noise] = x
-    return out.reshape(len(above_noise), -1)
+    def by_own(self, pole: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Misfit [...] of each layer with its own amplitudes."""
+        return self._mean_misfit(self._signals(pole, own))
 
+    def by_pattern(self, pole: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Misfit [...] of each layer with the pattern of the other layers and a complex gain."""
+        layers, others = self.layers, own
+        if len(layers) > 1:
+            index = np.array([layers[layers != layer] for layer in layers])
+            others = np.zeros_like(own)
+            others[..., layers, :, :] = common_pattern(own[..., index, :, :], self.valid.noise[index])[0]
+        model = self._signals(pole, others)
+        product, power = np.vecdot(model, self.observed) @ self.member, np.vecdot(model, model).real @ self.member
+        gain = product / np.maximum(power, 1e-300)
+        return self._mean_misfit(gain[..., self.place, None] * model)
 
-def _misfit(residual: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Residual share of the power [layers], with a sample's residual limited to four times its power.
+    def _signals(self, pole: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+        """Weighted sums of modes in the signals above the noise [..., signals, frames]."""
+        signals = self.valid.signals
+        shape = powers(pole * signals.step, signals.values.shape[-1])
+        return amplitude[..., self.valid.above_noise, :] @ shape * signals.weight
 
-    The resolution 10^(-RANGE/10) is added.
-    """
-    power = np.abs(observed) ** 2
-    share = np.minimum(np.abs(residual) ** 2, 4 * power).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-300)
-    return share + 10 ** (-RANGE / 10)
+    def _mean_misfit(self, model: np.ndarray) -> np.ndarray:
+        """Geometric mean over layers of the residual share of the power [...].
+
+        A sample's residual is limited to four times its power. The resolution 10^(-RANGE/10) is added.
+        """
+        residual = self.observed - model
+        limited = np.minimum(np.real(residual) ** 2 + np.imag(residual) ** 2, 4 * self.power).sum(axis=-1)
+        share = limited @ self.member / np.maximum(self.power.sum(axis=-1) @ self.member, 1e-300)
+        return np.exp(np.mean(np.log(share + 10 ** (-RANGE / 10)), axis=-1))
 
 
 def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

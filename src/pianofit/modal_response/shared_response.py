@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from ..dsp.damped_sums import sum_damped_modes
 from ..dsp.filters import delayed
@@ -149,15 +148,18 @@ def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: 
     Phases of partials alone are ambiguous by a period. The correlation of the attacks, half whitened (Knapp and Carter
     1976; Donohue et al. 2007), resolves the ambiguity.
     """
-    trial = np.arange(-LARGEST_DELAY, LARGEST_DELAY, 4e-6)  # a tenth of a period of the highest partials
+    step = 4e-6  # s, a tenth of a period of the highest partials
+    trial = np.arange(-LARGEST_DELAY, LARGEST_DELAY, step)
     turn = ratio[:, layer] * ratio[:, -1].conj()
-    turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
-    phases = (np.exp(1j * np.outer(trial, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
+    turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer] * np.exp(1j * omega * trial[0])
+    phases = sum_damped_modes(1j * omega, turn[None], 1 / step, len(trial))[0] / max(weight[:, layer].sum(), 1e-12)
     size = round(ATTACK_SECONDS * layers.rate)
     a, b = layers.samples[layer, :, :size], layers.samples[-1, :, :size]
     cross = np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()
     cross *= np.maximum(np.abs(cross), np.finfo(float).tiny) ** (WHITENING_EXPONENT - 1)
-    correlation = np.abs(signal.hilbert(np.roll(np.fft.irfft(cross).sum(axis=0), size)))
+    # The spectrum of positive frequencies alone gives the envelope.
+    cross[:, 1:-1] *= 2
+    correlation = np.abs(np.roll(np.fft.ifft(cross.sum(axis=0), 2 * size), size))
     attacks = np.interp(trial * layers.rate + size, np.arange(2 * size), correlation / correlation.max())
     return float(trial[np.argmax(phases + ATTACK_WEIGHT * attacks - DELAY_PENALTY * np.abs(trial) / LARGEST_DELAY)])
 

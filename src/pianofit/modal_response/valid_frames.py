@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from ..dsp.bands import Bands
 from ..dsp.common_poles import Signals
@@ -59,8 +58,8 @@ def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> Vali
     quiet = [(b.time > min(0.8 * end, end - b.window - b.step)) & (b.time <= end - b.window) for end in ends]
     noise = np.stack([np.median(between[i][:, frames], axis=-1) for i, frames in enumerate(quiet)]) * 1.2 + 1e-9
     width = max(1, round(ENVELOPE / b.step))
-    smooth = np.ones((1, 1, width)) / width
-    envelope = np.sqrt(signal.convolve(np.abs(b.z) ** 2, smooth, "same").clip(0))
+    power = np.pad(b.z.real**2 + b.z.imag**2, ((0, 0), (0, 0), (width // 2, width - 1 - width // 2)))
+    envelope = np.sqrt(np.lib.stride_tricks.sliding_window_view(power, width, axis=-1).mean(axis=-1))
     first = int(np.ceil((b.window / 2 + CONTACT) / b.step))
     # Files are often faded out over the last 10 ms.
     stop = np.array([int((min(SPAN, end - 0.01) - b.window / 2) / b.step) for end in ends])

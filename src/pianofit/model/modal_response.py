@@ -17,11 +17,10 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import oaconvolve, resample_poly
 
 from ..conversions import BEATING_DB
 from ..dsp.damped_sums import sum_damped_modes, z_transform_at_poles
-from ..dsp.filters import resample
+from ..dsp.filters import convolve, resample
 from ..io.number_format import summary
 from .output_path import at_velocity
 from .simulate import Simulation
@@ -71,7 +70,7 @@ class ForcePulse(NamedTuple):
             newton = np.interp(fine, self.step * np.arange(len(self.force)), self.force)
             return ForcePulse(newton, step, self.velocity).at(rate)
         edge = FILTER_REACH * ratio
-        return resample_poly(np.pad(self.force, (edge, edge)), 1, ratio) / rate
+        return resample(np.pad(self.force, (edge, edge)), ratio, 1) / rate
 
 
 def force_pulse(stroke: Simulation, velocity: float) -> ForcePulse:
@@ -184,11 +183,11 @@ class ModalResponse(NamedTuple):
         onset = np.zeros((self.channels, max(begin + size, self.knock.shape[-1] + len(pulse) - 1 - FILTER_REACH)))
         head = onset[:, begin : begin + size]
         driven = sum_damped_modes(self.pole, self.pattern * part, rate, size)
-        head += oaconvolve(driven, pulse[None], axes=-1)[:, :size]
+        head += convolve(driven, pulse)[:, :size]
         # A band-limited force extends past `end`, where the free decay is added separately.
         head[:, until:] -= sum_damped_modes(self.pole, self.pattern * state, rate, size - until)
         if self.knock.shape[-1]:
-            knock = oaconvolve(self.attack_noise(force.velocity), pulse[None], axes=-1)[:, FILTER_REACH:]
+            knock = convolve(self.attack_noise(force.velocity), pulse)[:, FILTER_REACH:]
             onset[:, : knock.shape[-1]] += knock
         return state, onset
 

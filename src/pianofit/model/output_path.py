@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import oaconvolve
 
+from ..dsp.filters import convolve
 from ..io.number_format import summary
 
 # Largest relative difference of frequencies of the same partial: the pitch of recordings differs by cents.
@@ -110,4 +110,4 @@ def impulse_response(path: OutputPath | None, rate: float) -> np.ndarray | None:
 
 def apply_filter(sound: np.ndarray, response: np.ndarray | None) -> np.ndarray:
     """Filter a sound [samples] and append the decay of the filter; without a filter return it unchanged."""
-    return sound if response is None or not len(sound) else oaconvolve(sound, response)
+    return sound if response is None or not len(sound) else convolve(sound, response)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..dsp.damped_sums import z_transform_at_poles
 from ..dsp.filters import forward_mean, without_drift
 from ..errors import ParameterError, RecordingError
 from ..io.files import printable
@@ -23,8 +24,9 @@ def offset(x: np.ndarray) -> float:
     A partial ω contributes 4π²/(ωT)³ of its amplitude. To a plain mean it contributes 1/(ωT), 750 times more at
     27.5 Hz.
     """
-    window = np.hanning(len(x) + 2)[1:-1]
-    return float(window @ x / window.sum())
+    angle = 2 * np.pi / (len(x) + 1)
+    cosine = np.real(np.exp(1j * angle) * z_transform_at_poles(np.array([1j * angle]), x)[0])
+    return float((np.sum(x) - cosine) / (len(x) + 1))
 
 
 def noise_rms(x: np.ndarray, onset: int, rate: int) -> float:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
 
 from ..analysis import Analysis
 from ..criterion import (
@@ -20,6 +19,7 @@ from ..criterion import (
     level_error_db,
     measure,
 )
+from ..dsp.filters import convolve
 from ..inference import STRING_SIZE, InferenceResult, select_partials
 from ..model.note import Note
 from ..model.simulate import Simulation
@@ -257,6 +257,6 @@ def locate_template(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
     leaves the first period unexplained. The sign is -1 for a pickup of opposite polarity.
     """
     energy = np.concatenate([[0.0], np.cumsum(sound**2)])
-    cross = correlate(sound, model, "valid", "fft")
+    cross = convolve(sound, model[::-1])[len(model) - 1 : len(sound)]
     start = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
     return start, float(np.sign(cross[start]))

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from ..errors import FitError
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..inference import Posterior
 from ..schema.fit import Fit, Minimum
+from ..sobol import sobol_points
 
 # Draws from the mixture: 2 to this power, as Sobol's points need. The ends of an interval are exact for a sum of
 # logarithms, and within about a tenth of its half-width for a function that no such sum resembles.
@@ -98,7 +98,7 @@ def joint_draws(fit: Fit, law: FeltLaw, sampled: Mapping[str, np.ndarray] | None
             raise FitError("covariance: this fit.json has none; fit the recordings again")
         return JointDraws(fixed)
     names = fit.covariance.names
-    points = qmc.Sobol(len(names) + 1, rng=np.random.default_rng(fit.seed)).random_base2(LOG2_DRAWS)
+    points = sobol_points(len(names) + 1, 2**LOG2_DRAWS, fit.seed)
     weight = np.array([minimum.weight for minimum in fit.minima])
     which = np.searchsorted(np.cumsum(weight)[:-1], points[:, 0])  # each minimum in proportion to its weight
     standard, log = ndtri(points[:, 1:]), np.zeros((len(points), len(names)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ..inference import STRING_SIZE, InferenceResult
 from ..schema.dependencies import CONTACT, FELT, MAX_LOG_SD, VELOCITIES, foundations
@@ -78,7 +78,7 @@ def _probability_of_one_velocity(fit: InferenceResult, strokes: Sequence[int]) -
     covariance = contrasts @ posterior.covariance[:, index[:, None], index] @ contrasts.T
     covariance = covariance + EXACT**2 * np.eye(len(contrasts))
     squared = (difference * np.linalg.solve(covariance, difference[..., None])[..., 0]).sum(axis=1)
-    return float(posterior.weight @ chi2.sf(squared, len(contrasts)))
+    return float(posterior.weight @ chdtrc(len(contrasts), squared))
 
 
 def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
