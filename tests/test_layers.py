@@ -38,7 +38,7 @@ USES = {
     "model": "deferred dsp felt io parameters x64",
     "setup": "felt io parameters",
     "schema": "felt io model parameters",
-    "inference": "analysis dsp felt io literature model parameters progress recording setup threads x64",
+    "inference": "analysis dsp felt io literature model parameters progress recording setup sobol threads x64",
     "synthetic": "felt io literature model parameters recording setup",
     "result": "analysis criterion deferred dsp felt inference io literature model parameters progress recording schema"
     " setup sobol threads",

@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import erfcx
-from scipy.stats import norm
+from scipy.special import erfcx, ndtr
 
 from ..conversions import HALF_WIDTH_95
 from .excess import NEGLIGIBLE, ExcessNodes, TablePoint, excess_nodes
@@ -95,7 +94,7 @@ class Posterior:
 
         def end(probability: float) -> float:
             low, high = float(centre.min() - reach), float(centre.max() + reach)
-            root: Any = brentq(lambda x: float(self.weight @ norm.cdf((x - centre) / sd)) - probability, low, high)
+            root: Any = brentq(lambda x: float(self.weight @ ndtr((x - centre) / sd)) - probability, low, high)
             return float(root)
 
         return end(0.025), end(0.975)

@@ -12,10 +12,11 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from ..errors import FitError
 from ..progress import Progress
+from ..sobol import sobol_points
 from .batched_model import thread_pool
 from .likelihood import ObservationTable
 from .objective import Candidates, Objective, QuadraticSurrogate
@@ -199,8 +200,8 @@ def sobol_samples(objective: Objective, seed: int) -> np.ndarray:
     theta = np.tile(u.mean, (SAMPLES, 1))
     theta[:, :STRING_SIZE] = objective.level_model.string
     if len(free):
-        points = qmc.Sobol(len(free), rng=np.random.default_rng(seed)).random(SAMPLES)
-        theta[:, free] += u.sd[free] * norm.ppf(TAIL + (1 - 2 * TAIL) * points)
+        points = sobol_points(len(free), SAMPLES, seed)
+        theta[:, free] += u.sd[free] * ndtri(TAIL + (1 - 2 * TAIL) * points)
     return u.project(theta)
 
 

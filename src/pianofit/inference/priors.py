@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from ..analysis import Analysis, cents_above
 from ..conversions import midi_of
@@ -106,7 +105,8 @@ def log_gain(gain: float, others: Sequence[float] = (0.0,)) -> float:
     given, sd = np.asarray(others, float), np.array(GAIN_DEVIATION)
     square = ((given - given.mean()) ** 2).sum()
     regime = -(len(given) - 1) * np.log(sd) - 0.5 * square / sd**2
-    predictive = norm.logpdf(gain, given.mean(), sd * np.sqrt(1 + 1 / len(given)))
+    spread = sd * np.sqrt(1 + 1 / len(given))
+    predictive = -0.5 * ((gain - given.mean()) / spread) ** 2 - np.log(spread * np.sqrt(2 * np.pi))
     return float(np.logaddexp.reduce(regime + predictive) - np.logaddexp.reduce(regime))
 
 
