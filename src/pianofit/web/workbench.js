@@ -1,7 +1,5 @@
 // Parameters of the last played key: sliders, undo, and plots of the force pulse and the mode levels.
 
-import { staticForce } from "./contact.js";
-
 // Changes for `changed` of change.js. Every slider except that of the exponent is a factor on a logarithmic scale.
 const SLIDERS = [
   { name: "force", words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
@@ -16,18 +14,18 @@ const STEPS = 100; // of a slider in each direction
 
 const byId = (id) => document.getElementById(id);
 
-/** What the label of a slider adds to its words and to its value, from the key. */
+/** What the label of a slider adds to its words and to its value, from the key and the player. */
 const ADDED = {
-  force: ({ hammer, compression, geometry }) => ({
+  force: ({ hammer, compression, geometry }, player) => ({
     words: ` (${shortened(1e3 * compression)} mm)`,
-    value: `, ${shortened(staticForce(hammer, compression) / geometry.mass)} N/kg`,
+    value: `, ${shortened(player.staticForce(hammer, compression) / geometry.mass)} N/kg`,
   }),
 };
 const shortened = (x) => Number(x.toPrecision(3));
 
-/** The displayed value of each slider, from the key. */
+/** The displayed value of each slider, from the key and the player. */
 const SHOWN = {
-  force: ({ hammer, compression }) => staticForce(hammer, compression),
+  force: ({ hammer, compression }, player) => player.staticForce(hammer, compression),
   p: ({ hammer }) => hammer.p,
   mu: ({ hammer }) => hammer.mu,
   mass: ({ hammer }) => 1e3 * hammer.M_H,
@@ -74,7 +72,8 @@ class Workbench {
     const [left, right] = span.map((x) => Math.min(Math.max(back(x) / (2 * STEPS) + 0.5, 0), 1));
     band.style.setProperty("--left", left);
     band.style.setProperty("--right", right);
-    const shown = span.map((x) => Number((slider === "p" ? SHOWN.p(fitted) + x : SHOWN[slider](fitted) * x).toPrecision(3)));
+    const value = SHOWN[slider](fitted, this.player);
+    const shown = span.map((x) => Number((slider === "p" ? value + x : value * x).toPrecision(3)));
     interval.textContent = `95 %: ${shown.join(" to ")} ${unit}`.trim();
   }
 
@@ -145,9 +144,9 @@ class Workbench {
     byId("which").textContent = name;
     const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
     for (const { name: slider, unit, words } of SLIDERS) {
-      const { input, title, value, back } = this.inputs.get(slider), added = ADDED[slider]?.(key);
+      const { input, title, value, back } = this.inputs.get(slider), added = ADDED[slider]?.(key, this.player);
       title.textContent = words + (added?.words ?? "");
-      value.textContent = `${shortened(SHOWN[slider](key))} ${unit}`.trim() + (added?.value ?? "");
+      value.textContent = `${shortened(SHOWN[slider](key, this.player))} ${unit}`.trim() + (added?.value ?? "");
       input.value = Math.round(back(changes[slider]));
       this._interval(slider, unit);
       input.setAttribute("aria-valuetext", value.textContent);
