@@ -46,9 +46,10 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """Return module, attribute and scaling function by the first cell of the row in docs/fitting.md."""
     from pianofit.analysis import baseband_fit, envelope_slopes, inharmonicity, partials
+    from pianofit.felt import soft_skin
     from pianofit.inference import (
         batched_model,
-        derivatives,
+        curvature,
         estimate,
         multistart,
         objective,
@@ -80,6 +81,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
     return {
         "`FELT_SPREAD`, all of the felt": (_Felt(), "spread", every),
+        "`SKIN`": (soft_skin, "SKIN", plain),
         "`HAMMER_SD`, all": (priors, "HAMMER_SD", every),
         "`VELOCITY`": (priors, "VELOCITY", plain),
         "`VELOCITY_SD`": (priors, "VELOCITY_SD", plain),
@@ -129,7 +131,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FINER`": (batched_model, "FINER", plain),
         "`CONVERGED`": (optimiser, "CONVERGED", plain),
         "`HYPER_REACH`": (objective, "HYPER_REACH", plain),
-        "`NEGATIVE`": (derivatives, "NEGATIVE", plain),
+        "`NEGATIVE`": (curvature, "NEGATIVE", plain),
         "`WITHIN`": (estimate, "WITHIN", plain),
         "`LEFT`": (estimate, "LEFT", plain),
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),

@@ -1,7 +1,7 @@
 """How well velocities that were not fitted are predicted, on real notes and by each law of the felt.
 
     python benchmarks/crossval.py                                      all notes of the recordings, by the default law
-    python benchmarks/crossval.py --laws hunt-crossley,power,stulov --json cross_validation.json
+    python benchmarks/crossval.py --laws soft-skin,hunt-crossley,power,stulov --json cross_validation.json
     python benchmarks/crossval.py --seeds 0,1,2                        how far the median moves with the seed
 
 The recordings are in ../shared/recordings and ../shared/disklavier, or where PIANOFIT_RECORDINGS says (folders
@@ -112,7 +112,7 @@ def summary(results: list[dict], law: str, seed: int) -> str:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--laws", default="hunt-crossley", help="separated by commas")
+    parser.add_argument("--laws", default="soft-skin", help="separated by commas")
     parser.add_argument("--seeds", default="0", help="separated by commas")
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)

@@ -152,7 +152,7 @@ def seeds(results: list[dict[str, Any]], law: str) -> str:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--laws", default="hunt-crossley", help="separated by commas")
+    parser.add_argument("--laws", default="soft-skin", help="separated by commas")
     parser.add_argument("--seeds", default="0", help="separated by commas")
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)

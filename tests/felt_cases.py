@@ -35,20 +35,20 @@ def memory_of(hammer) -> tuple[float, float]:
 
 
 def base(u, hammer):
-    """g = u²/(u + d) of a felt with a skin of thickness d; 0 when apart."""
-    pressed = np.maximum(u, 0.0)
-    return pressed**2 / np.maximum(pressed + hammer.skin, 1e-300)
+    """g = u²/(u + d) of a felt with a skin of thickness d, else u; 0 when apart."""
+    pressed, skin = np.maximum(u, 0.0), getattr(hammer, "skin", 0.0)
+    return pressed**2 / np.maximum(pressed + skin, 1e-300) if skin else pressed
 
 
 def remembered(c: float, old: float, new: float, s: float) -> float:
-    """c after a step s = δt/τ, over which g^p changes linearly from `old` to `new`."""
+    """c after a step s = δt/τ, over which u^p changes linearly from `old` to `new`."""
     rate = (new - old) / s
     return new - rate + (c - old + rate) * math.exp(-s)
 
 
 def memories(u: np.ndarray, hammer, step: float) -> np.ndarray:
     """c [steps] of a felt with compression `u`."""
-    a, c = base(u, hammer) ** hammer.p, [0.0]
+    a, c = np.maximum(u, 0.0) ** hammer.p, [0.0]
     for old, new in itertools.pairwise(a):
         c.append(remembered(c[-1], old, new, step / memory_of(hammer)[1]))
     return np.array(c)
@@ -98,7 +98,7 @@ def stepped(modes, hammer, steps: int) -> Blow:
 
         def excess(F1: float, u0=u0, w0=w0, c=c, old=old) -> float:
             u = u0 - soft_u * F1
-            new = float(base(u, hammer)) ** hammer.p
+            new = max(u, 0.0) ** hammer.p
             now = remembered(c, old, new, s)
             lossy = new * max(1 + hammer.mu * (w0 - soft_w * F1), 0.0)
             return F1 - max(hammer.K_H * (lossy - epsilon * now), 0.0)
@@ -110,7 +110,7 @@ def stepped(modes, hammer, steps: int) -> Blow:
         q, v = q + a * (v + new_v), new_v
         y, vy = y + a * (2 * vy - a / hammer.M_H * (F + F1)), vy - a / hammer.M_H * (F + F1)
         F, u = F1, y - float(phi @ q)
-        new = float(base(u, hammer)) ** hammer.p
+        new = max(u, 0.0) ** hammer.p
         c, old = remembered(c, old, new, s), new
         rows.append((F, u, y, vy))
     force, u, y_H, v_H = np.array(rows).T

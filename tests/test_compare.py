@@ -18,7 +18,7 @@ import pianofit
 from pianofit.cli import main
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import FitError, ParameterError
-from pianofit.felt.soft_skin import SOFT_SKIN
+from pianofit.felt import law_of
 from pianofit.report.static_law import static_law
 from pianofit.schema.decode import encode_json
 from pianofit.schema.fit import Fit
@@ -202,7 +202,7 @@ def test_the_felts_are_compared_at_the_reference_compression_of_the_key():
     row, hammer = found["felt_force"], fitted().note.hammer
     u = 1e-3 * fitted().fit.derived.reference_compression_mm
     assert found.compressions_mm == (1e3 * u, 1e3 * u)
-    assert row.a.value == pytest.approx(SOFT_SKIN.force(u, 0.0, hammer), rel=1e-9)
+    assert row.a.value == pytest.approx(law_of(hammer).force(u, 0.0, hammer), rel=1e-9)
     assert row.a.value == pytest.approx(found["F/M_S"].a.value * fitted().parameters.M_S.value, rel=1e-9)
     assert row.z == 0  # `softer` changes only the note
     assert first.at(1e3 * u)[0] == pytest.approx(row.a.value, rel=1e-3)

@@ -19,20 +19,20 @@ SHARED = len(VALUES)
 FORCE, P, MU, X0 = (VALUES.index(name) for name in ("K_H", "p", "mu", "x0"))
 VALUE = {
     "c": 304.0, "kappa": 1.7, "b1": 0.5, "b2": 2e-4, "K_H": 1e10, "p": 2.5, "mu": 0.2, "M_H": 5e-3, "x0": 0.12,
-    "width": 0.02, "epsilon": 0.5, "tau": 1e-4,
+    "width": 0.02, "epsilon": 0.5, "tau": 1e-4, "skin": 1e-4,
 }  # fmt: skip
 LOG_U = float(np.log(4e-4))
 
 
 def unknowns() -> Parametrisation:
-    """All parameters are free except for the relaxation, which this felt law does not have."""
+    """All parameters are free except for relaxation and skin, which this felt law does not have."""
     mean = np.log([VALUE[name] for name in VALUES] + [1.0, 2.0])
     mean[FORCE] += VALUE["p"] * LOG_U
     sd = np.full(len(mean), 0.5)
-    sd[[VALUES.index("epsilon"), VALUES.index("tau")]] = 0.0
+    sd[[VALUES.index(name) for name in ("epsilon", "tau", "skin")]] = 0.0
     lower, upper = mean - 0.7, mean + 0.7
     lower[FORCE], upper[FORCE] = np.log(5e9), np.log(2e10)
-    return Parametrisation(mean, sd, lower, upper, LOG_U, GEOMETRY, LAW)
+    return Parametrisation(mean, sd, lower, upper, float(np.exp(LOG_U)), GEOMETRY, LAW)
 
 
 def points(count: int = 40) -> np.ndarray:

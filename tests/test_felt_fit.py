@@ -83,7 +83,7 @@ def test_half_a_memory_is_no_felt(tmp_path):
     document = builtins_of(fitted("power", "stulov"))
     del document["parameters"]["tau"]
     (tmp_path / "fit.json").write_text(json.dumps(document))
-    with pytest.raises(FitError, match="epsilon and tau"):
+    with pytest.raises(FitError, match="tau is missing"):
         load_note(tmp_path / "fit.json")
 
 

@@ -17,7 +17,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.felt import ALL_PARAMETERS, LAWS, RelaxingHammer, make_hammer, steps
+from pianofit.felt import ALL_PARAMETERS, LAWS, RelaxingHammer, SoftHammer, make_hammer, steps
 from pianofit.felt.steps import relaxing
 from pianofit.parameters import Geometry, Hammer, String
 
@@ -35,11 +35,11 @@ def _log(name: str):
 
 @st.composite
 def hammers(draw):
-    """Any hammer within bounds, without loss, with one or with both, and with or without a skin."""
+    """Any hammer within bounds, without loss, with one or with both, and with a skin."""
     values = {name: draw(_log(name)) for name in RelaxingHammer._fields}
-    values |= {name: draw(st.sampled_from([0.0, values[name]])) for name in ("mu", "skin")}
     hammer = RelaxingHammer(**values)
-    return draw(st.sampled_from([hammer, Hammer(*hammer[:6])]))
+    hammer = hammer._replace(mu=draw(st.sampled_from([0.0, hammer.mu])))
+    return draw(st.sampled_from([hammer, Hammer(*hammer[:5]), SoftHammer(*hammer[:5], draw(_log("skin")))]))
 
 
 _equation = jax.jit(jax.vmap(relaxing.residual, in_axes=(0, *[None] * 8)))
@@ -62,7 +62,7 @@ def test_each_step_is_one_monotone_equation_with_its_root_in_the_bracket(hammer,
     upper, a, c = 10.0**size, 10.0**step / 2, 10.0**give
     u_old = before * upper
     weights = _weights(hammer, 2 * a)
-    memory = None if weights is None else kept * base(upper, hammer) ** hammer.p
+    memory = None if weights is None else kept * upper**hammer.p
     rest = (upper, u_old, w, c, a, hammer, weights, memory)
     u = np.concatenate([np.linspace(0.0, upper, 300), upper * np.geomspace(1e-12, 1.0, 200)])
     u.sort()
@@ -96,7 +96,7 @@ def test_any_felt_on_any_string_obeys_its_law(hammer, pitch, length, mass):
     # Effect of rounding in u, w and c on the force.
     a = base(u, hammer) ** hammer.p
     blurred = hammer.mu * np.maximum.accumulate(np.abs(2 * u / step) + np.abs(w))
-    slack = 1024 * np.finfo(float).eps * hammer.K_H * hammer.p * (a * (1 + blurred) + np.maximum.accumulate(a))
+    slack = 512 * np.finfo(float).eps * 2 * hammer.K_H * hammer.p * (a * (1 + blurred) + np.maximum.accumulate(a))
     assert np.all(np.abs(F - law(u, w, c, hammer)) <= slack)
 
 
@@ -167,7 +167,7 @@ def test_derivatives_by_every_parameter_against_central_differences(name):
     at, relative_step = {**STRING._asdict(), **hammer._asdict()}, 5e-6
     exact, values = _slopes(at), _outputs(at)
     for parameter, value in at.items():
-        h = relative_step * (value or (1e-4 if parameter == "skin" else 1.0))
+        h = relative_step * (value or 1.0)
         above, below = (_outputs(at | {parameter: value + sign * h}) for sign in (1, -1))
         for output in values:
             found = np.asarray(exact[output][parameter]) * h
@@ -231,7 +231,7 @@ def test_each_law_has_the_parameters_that_it_is_said_to_have(name):
 
 
 def soft_hammer(skin: float):
-    return HAMMER._replace(skin=skin)
+    return SoftHammer(*HAMMER, skin)
 
 
 def test_a_soft_skin_is_a_power_law_above_and_one_of_twice_the_exponent_below():

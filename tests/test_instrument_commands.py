@@ -97,7 +97,7 @@ def test_a_page_shows_every_key_and_trusts_no_name(piano, tmp_path):
     assert "&lt;script&gt;alert(1)" in page
     assert "Mistuning" not in page
     assert len(re.findall(r'<tr><th scope="row">', page)) == 88
-    assert page.count("<svg ") == 16
+    assert page.count("<svg ") == 17
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "default-src 'none'" in page
 
@@ -118,7 +118,7 @@ def test_a_page_shows_how_the_partials_of_keys_split_and_decay(fits, tmp_path):
     keys[1] = replace(keys[1], summary=replace(keys[1].summary, partials=(one, two)))
     write_page(tmp_path / "instrument.html", build_instrument(keys, "twin"))
     page = (tmp_path / "instrument.html").read_text()
-    assert page.count("<svg ") == 18
+    assert page.count("<svg ") == 19
     assert page.count("Beating and double decay") == 2  # its heading, and that in the contents
 
 
@@ -175,7 +175,7 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     (("play", "melody.mid", "melody.mid", "--out", "x.wav"), "not an instrument.json"),
     (("instrument", "nowhere", "--out", "x"), "no such file or folder"),
     (("instrument", "melody.mid", "--out", "x"), "not a fit.json"),
-    (("instrument", "@", "--out", "x"), "schema 4 is not 6; fit again"),
+    (("instrument", "@", "--out", "x"), "schema 5 is not 6; fit again"),
 ])  # fmt: skip
 def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, melody, monkeypatch):
     monkeypatch.chdir(melody.parent)
@@ -227,8 +227,8 @@ def discrepant(velocity: object, db: object) -> dict:
 
 
 BAD_INSTRUMENTS = {
-    "kind": (changed("kind", "fit"), "schema 4"),
-    "schema": (changed("schema", 99), "schema 4"),
+    "kind": (changed("kind", "fit"), "schema 5"),
+    "schema": (changed("schema", 99), "schema 5"),
     "quantity": (changed("quantity", ["x" * 999]), r"quantity = \['xxx.*\.\.\. must be one of velocity, "),
     "keys": (changed("keys", {}), r"keys = \{\} must be a list"),
     "no keys": (changed("keys", []), r"keys = \[\] must be a list of length >= 1"),

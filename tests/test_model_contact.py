@@ -13,7 +13,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import FitError, PianofitError
-from pianofit.parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
+from pianofit.parameters import PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -178,7 +178,7 @@ def struck_strings(draw):
         length, math.exp(draw(st.floats(math.log(1e-4), math.log(0.5)))), strike,
         draw(st.floats(0.005, 0.09)) * length, 0.3 * length,
     )  # fmt: skip
-    return string, Hammer(*(draw(_log(name)) for name in HAMMER_NAMES)), geometry
+    return string, Hammer(*(draw(_log(name)) for name in Hammer._fields)), geometry
 
 
 @settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -71,7 +71,7 @@ def _strike_weights(window: np.ndarray) -> np.ndarray:
 
 def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
     """The outputs of the model, and their derivatives by name."""
-    at = np.array([*case["string"], *case["hammer"][:5]], float)
+    at = np.array([*case["string"], *case["hammer"]], float)
     start = (
         np.zeros(POINTS) if case.get(name) is None else model.project(case[name], case["geometry"].length, POINTS)
         for name in ("displacement", "velocity")
@@ -87,7 +87,7 @@ def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
 def _condition(case: dict, slow: finite_difference.Reference) -> float:
     """Condition number: relative change of velocity or force per relative change of all parameters."""
     total = {"velocity": 0.0, "force": 0.0}
-    for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"][:5]), strict=True):
+    for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=True):
         for kind in total:
             size = np.abs(getattr(slow.signals, kind)).max()
             total[kind] += abs(value) * np.abs(getattr(slow.derivatives[name], kind)).max() / size
@@ -102,7 +102,7 @@ def _errors(case: dict, slow: finite_difference.Reference) -> dict[str, float]:
     apart = np.flatnonzero(slow.signals.force)[-1] + 1 if slow.signals.force.any() else 0
     after = np.abs(fast["ringing"] - slow.signals.velocity)[apart:]
     errors["ringing"] = after.max(initial=0.0) / (SIGNALS * size["velocity"])
-    for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"][:5]), strict=True):
+    for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=True):
         for kind in ("velocity", "force"):
             exact = getattr(slow.derivatives[name], kind)
             scale = max(np.abs(exact).max(), HARDLY * size[kind] / abs(value))

@@ -12,17 +12,14 @@ from reference_cases import CASES, WIDE, relative, solve
 
 from pianofit import model
 from pianofit.errors import FitError, ParameterError
-from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
+from pianofit.parameters import Geometry, Hammer, String
 
 
 @pytest.mark.parametrize("name", ["paper", "hard hammer", "struck in motion"])
 def test_appendix_against_central_differences(name):
     """Each parameter changes the signal by 1e-5, so that truncation and rounding are about 1e-8."""
     case, _ = CASES[name]
-    exact, values = (
-        solve(case, derivatives=True),
-        dict(zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=False)),
-    )
+    exact, values = solve(case, derivatives=True), {**case["string"]._asdict(), **case["hammer"]._asdict()}
     for parameter, value in values.items():
         acts = np.abs(exact.derivatives[parameter].velocity).max() / np.abs(exact.signals.velocity).max()
         change, ends = min(1e-5 / acts, 1e-2 * value), []

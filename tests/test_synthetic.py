@@ -15,7 +15,6 @@ from pianofit.cli import main
 from pianofit.errors import ParameterError
 from pianofit.felt import RelaxingHammer
 from pianofit.io.files import PEAK_LIMIT
-from pianofit.parameters import FIT_NAMES
 from pianofit.setup import Setup
 from pianofit.synthetic import LEAD, setup_of, setup_text, synthetic_recording
 
@@ -79,7 +78,7 @@ def test_the_setup_states_no_parameter():
     it = made()
     assert not it.setup.fixed
     assert not it.setup.initial
-    assert it.true == dict(zip(FIT_NAMES, (*TYPICAL.string, *TYPICAL.hammer), strict=False))
+    assert it.true == {**TYPICAL.string._asdict(), **TYPICAL.hammer._asdict()}
     assert all(f"# {name} = {value!r}" in it.setup_text for name, value in it.true.items())
 
 
@@ -121,12 +120,7 @@ def test_a_fit_recovers_what_was_simulated(tmp_path, capsys):
     fitted = ("fit", str(sound), "--setup", str(setup), "--note", "F3", "--no-page", "--out", str(tmp_path / "fit"))
     assert main([*fitted]) == 0
     found = json.loads((tmp_path / "fit" / "fit.json").read_text(encoding="utf-8"))["parameters"]
-    true = dict(zip(FIT_NAMES, (*TYPICAL.string, *TYPICAL.hammer), strict=False)) | {
-        "p": 2.6,
-        "K_H": 3e9,
-        "v_H0": 1.4,
-        "width": 0.02,
-    }
+    true = TYPICAL.string._asdict() | TYPICAL.hammer._asdict() | {"p": 2.6, "K_H": 3e9, "v_H0": 1.4, "width": 0.02}
     off = {"c": 1e-6, "kappa": 1e-4, "b1": 0.01, "b2": 0.02, "M_H": 0.005, "p": 0.02, "mu": 0.03, "v_H0": 0.01}
     outside = 0
     for name, value in true.items():

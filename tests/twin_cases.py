@@ -85,6 +85,7 @@ def setup_of(truth: Truth, **more: dict) -> Setup:
         "string": {"length": g.length, "mass": g.mass},
         "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": truth.scale},
+        "felt": {"law": "hunt-crossley"},
     }
     return Setup.from_dict(data | more, "synthetic")
 
@@ -194,6 +195,7 @@ def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measu
         strike_position=g.strike_position,
         strike_width=g.width,
         recordings=more or tuple(entries),
+        felt="hunt-crossley",
     )
 
 

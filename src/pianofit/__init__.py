@@ -21,7 +21,18 @@ __all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
 __all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
 __all__ += ["ModelDraw", "DerivedQuantity"]
 # Model: from parameters to motion and sound.
-__all__ += ["String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation"]
+__all__ += [
+    "String",
+    "Hammer",
+    "SoftHammer",
+    "RelaxingHammer",
+    "Geometry",
+    "PARAMETERS",
+    "Preset",
+    "preset",
+    "typical",
+    "Simulation",
+]
 __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav"]
 # Parts of the model for JAX programs: modes, excitation, output.
 __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
@@ -50,7 +61,7 @@ if TYPE_CHECKING:
     )
     from .export import ExportOptions, ExportSummary, export_sampler
     from .export.faust import FaustSummary, write_faust
-    from .felt import FeltLaw, RelaxingHammer
+    from .felt import FeltLaw, RelaxingHammer, SoftHammer
     from .fitting import fit
     from .instrument import (
         Instrument,
@@ -107,7 +118,7 @@ _MODULES = {
     "result.derived": ("DerivedQuantity", "ModelDraw"),
     "result.cross_validation": ("CrossValidation", "LeftOutRecording", "cross_validate"),
     "result.prediction": ("Prediction", "predict_recording"),
-    "felt": ("FeltLaw", "RelaxingHammer"),
+    "felt": ("FeltLaw", "RelaxingHammer", "SoftHammer"),
     "model": (
         "Modes",
         "Note",

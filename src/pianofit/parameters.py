@@ -41,9 +41,7 @@ class String(NamedTuple):
 
 
 class Hammer(NamedTuple):
-    """The hammer and its felt, F = K_H [u²/(u + d)]^p (1 + μ u̇).
-
-    Without a soft skin, d = 0, the felt is that of Hunt and Crossley (paper eq. 5 and 8); with μ = 0 the power law.
+    """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law.
 
     Parameters
     ----------
@@ -52,7 +50,6 @@ class Hammer(NamedTuple):
     p : felt exponent.
     M_H : hammer mass, kg.
     v_H0 : hammer velocity at the first contact, m/s.
-    skin : thickness d of the felt's soft skin, m.
     """
 
     K_H: Number
@@ -60,7 +57,6 @@ class Hammer(NamedTuple):
     p: Number
     M_H: Number
     v_H0: Number
-    skin: Number = 0.0
 
     def __repr__(self) -> str:
         return summary(self, exact=True)
@@ -142,7 +138,7 @@ PARAMETERS: dict[str, Parameter] = {
     "v_H0": Parameter("m/s", "initial hammer velocity", 1e-2, 2e1),
 }
 STRING_NAMES = String._fields
-HAMMER_NAMES = ("K_H", "mu", "p", "M_H", "v_H0")
+HAMMER_NAMES = Hammer._fields
 FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
 
 

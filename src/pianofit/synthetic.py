@@ -81,7 +81,7 @@ def synthetic_recording(
     Parameters
     ----------
     string, geometry : string and geometry in SI units. `geometry` has the strike position and the pickup position.
-    hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : Hz.
     seconds : length of the sound, s. The first 0.06 s of it are silent.
     quantity : what the pickup records: velocity, displacement, bridge-force or pressure.

@@ -13,7 +13,7 @@ from ..inference import InitialValues
 from ..model import Simulation
 from ..model.free_response import level_db, modal_amplitudes
 from ..model.note import Note, arrival
-from ..parameters import FIT_NAMES, HAMMER_NAMES, Hammer, String
+from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result
 from ..result.build_result import derived_of, pickup_of, record_of, with_derived
@@ -53,7 +53,7 @@ def point_result(
     begins = None if start.scale is None else recording.onset - round(delay * recording.rate)
     first = Note(
         String(*(values[n] for n in String._fields)),
-        Hammer(*(values[n] for n in HAMMER_NAMES)),
+        Hammer(*(values[n] for n in Hammer._fields)),
         start.geometry,
         start.quantity,
         1.0,
@@ -64,7 +64,7 @@ def point_result(
         for note in (first, first._replace(string=string, hammer=hammer))
     )
     compared = comparison.compare(before, after, comparison.level_errors(before.level, after.level))
-    parameters = _parameters(start, (*string, *(getattr(hammer, n) for n in HAMMER_NAMES)), values, at_bound)
+    parameters = _parameters(start, (*string, *hammer), values, at_bound)
     record = record_of(compared, parameters["v_H0"], start.scale is not None)
     fit = Fit(
         recipe=recipe,

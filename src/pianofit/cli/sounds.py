@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import ParameterError
-from ..felt import ABSENT, ALL_PARAMETERS, make_hammer
+from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
 from ..setup import STRING_PICKUPS
@@ -99,7 +99,7 @@ def _apply_changes(preset: Preset, change: list[str], velocity: float | None) ->
     values = preset.string._asdict() | preset.hammer._asdict() | changed
     if velocity is not None:
         values["v_H0"] = velocity
-    check({name: value for name, value in values.items() if value or name not in ABSENT}, "--set", ALL_PARAMETERS)
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", ALL_PARAMETERS)
     return (
         preset.string._replace(**{k: values[k] for k in preset.string._fields}),
         make_hammer(values, "--set"),

@@ -16,16 +16,16 @@ from ..parameters import HAMMER_NAMES, PARAMETERS, Hammer, Parameter, check
 from .hunt_crossley import HUNT_CROSSLEY, POWER
 from .law import COMMON_PARAMETERS, FeltLaw
 from .relaxing import RelaxingHammer
-from .soft_skin import SOFT_SKIN
+from .soft_skin import SOFT_SKIN, SoftHammer
 
 __all__ = [
-    "ABSENT",
     "ALL_PARAMETERS",
     "COMMON_PARAMETERS",
     "DEFAULT_LAW",
     "LAWS",
     "FeltLaw",
     "RelaxingHammer",
+    "SoftHammer",
     "check_hammer",
     "is_builtin",
     "law_of",
@@ -42,8 +42,6 @@ LAWS: dict[str, FeltLaw] = {
 }
 # The law for setups that name none.
 DEFAULT_LAW = SOFT_SKIN
-# Parameters that are 0 where a felt has no loss or no skin, below their bounds.
-ABSENT = ("mu", "skin")
 # Unit, meaning and bounds of all parameters that fits with these laws search.
 ALL_PARAMETERS: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
@@ -54,7 +52,7 @@ def is_builtin(law: FeltLaw) -> bool:
 
 
 def law_of(hammer: Any) -> FeltLaw:
-    """Return the felt law of a hammer by its type; a `Hammer` has a soft skin, also of thickness 0.
+    """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0.
 
     Raises
     ------
@@ -62,10 +60,10 @@ def law_of(hammer: Any) -> FeltLaw:
         If the argument is not a hammer.
     """
     kind = type(hammer)
-    for law in (getattr(kind, "law", None), SOFT_SKIN, *LAWS.values()):
+    for law in (getattr(kind, "law", None), *LAWS.values()):
         if law is not None and law.hammer_type is kind:
             return law
-    raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
+    raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, SoftHammer, RelaxingHammer, or FeltLaw.hammer")
 
 
 def plain_law(hammer: Any) -> FeltLaw:
@@ -77,13 +75,11 @@ def plain_law(hammer: Any) -> FeltLaw:
         If the argument is not a hammer.
     """
     law = law_of(hammer)
-    if law is not SOFT_SKIN or hammer.skin:
-        return law
-    return HUNT_CROSSLEY if hammer.mu else POWER
+    return POWER if law is HUNT_CROSSLEY and not hammer.mu else law
 
 
 def check_hammer(hammer: Any, where: str = "hammer") -> None:
-    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0 and a skin of thickness 0 are allowed.
+    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0, a felt without loss, is allowed.
 
     Raises
     ------
@@ -96,12 +92,12 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
             raise ParameterError(f"{where}: {name} has the shape {value.shape} and must be one number; use jax.vmap")
     values = {name: float(value) for name, value in hammer._asdict().items()}
     if law.hammers is not None:
-        values = {name: value for name, value in values.items() if value or name not in ABSENT}
+        values = {name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}
     check(values, where, ALL_PARAMETERS | law.hammer_parameters)
 
 
 def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltLaw | None = None) -> Any:
-    """Return a hammer with these `values`: of `law` if given, else relaxing if they contain epsilon and tau.
+    """Return a hammer with these `values`: of `law` if given, else with a skin or relaxing if they contain one.
 
     Raises
     ------
@@ -112,7 +108,9 @@ def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltL
         if missing := [name for name in law.hammer_parameters if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
         return law.make_hammer(values)
-    common = [*(values[name] for name in HAMMER_NAMES), values.get("skin", 0.0)]
+    common = [values[name] for name in HAMMER_NAMES]
+    if "skin" in values:
+        return SoftHammer(*common, skin=values["skin"])
     relaxation = [values[name] for name in RelaxingHammer._fields[len(common) :] if name in values]
     if len(relaxation) == 1:
         raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")

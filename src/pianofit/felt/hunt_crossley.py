@@ -1,7 +1,4 @@
-"""The felt of Hunt and Crossley (paper eq. 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law (Ghosh).
-
-Its hammers are those of the felt with a soft skin (soft_skin.py), of thickness 0.
-"""
+"""The felt of Hunt and Crossley (paper eq. 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law (Ghosh)."""
 
 from __future__ import annotations
 

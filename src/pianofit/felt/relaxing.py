@@ -16,9 +16,7 @@ from .law import FeltLaw
 
 
 class RelaxingHammer(NamedTuple):
-    """A hammer with relaxing felt: F = K_H [g^p (1 + μ u̇) - ε c], τ ċ = g^p - c, g = u²/(u + d).
-
-    With μ = d = 0 it is the law of Stulov.
+    """A hammer with relaxing felt: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 the law of Stulov.
 
     It is made from a hammer of the same stiffness by `RelaxingHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
     """
@@ -28,7 +26,6 @@ class RelaxingHammer(NamedTuple):
     p: Number  # felt exponent, 1
     M_H: Number  # hammer mass, kg
     v_H0: Number  # initial hammer velocity, m/s
-    skin: Number  # thickness d of the soft skin, m
     epsilon: Number  # share of the stiffness that relaxes, 1
     tau: Number  # relaxation time, s
 

@@ -8,11 +8,12 @@ force, by Gauss-Legendre quadrature.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..parameters import Hammer, Parameter
+from ..io.number_format import summary
+from ..parameters import Number, Parameter
 from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
 
@@ -22,6 +23,23 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 # Prior of the thickness: median over the key's reference compression, and spread of the logarithm. 17 keys of five
 # pianos have 0.02 to 2.4 times that compression (docs/fitting.md).
 SKIN, SKIN_SPREAD = 0.3, 1.5
+
+
+class SoftHammer(NamedTuple):
+    """A hammer whose felt has a soft skin: F = K_H [u²/(u + d)]^p (1 + μ u̇).
+
+    It is made from a hammer of the same felt below the skin by `SoftHammer(*hammer, skin)`.
+    """
+
+    K_H: Number  # felt stiffness below the skin, N/m^p
+    mu: Number  # felt loss coefficient, s/m
+    p: Number  # felt exponent, 1
+    M_H: Number  # hammer mass, kg
+    v_H0: Number  # initial hammer velocity, m/s
+    skin: Number  # thickness d of the skin, m
+
+    def __repr__(self) -> str:
+        return summary(self, exact=True)
 
 
 def base(u: Any, felt: Any) -> Any:
@@ -60,7 +78,7 @@ SOFT_SKIN = FeltLaw(
     storage,
     power=("K_H", "p"),
     base=base,
-    hammers=Hammer,
+    hammers=SoftHammer,
     columns=COLUMNS,
     formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + d)"),
 )

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ..felt import ALL_PARAMETERS, FeltLaw
-from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String
+from ..parameters import STRING_NAMES, Geometry, String
 
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
@@ -80,7 +80,7 @@ class Parametrisation:
     @cached_property
     def reported(self) -> tuple[str, ...]:
         """Names of parameters of this law's hammers; the others are fixed."""
-        own = (*STRING_NAMES, *HAMMER_NAMES, *self.law.parameters, "x0", "width")
+        own = (*STRING_NAMES, *self.law.hammer_type._fields, "x0", "width")
         return tuple(name for name in self.names if name in own)
 
     @property

@@ -157,7 +157,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     geometry, assumed = _geometry(setup, preset.geometry)
     values = _string_values(analysis, geometry.length)
     _check_pitch(analysis, setup, geometry.length)
-    hammer = {name: float(getattr(preset.hammer, name)) for name in HAMMER_NAMES} | {"v_H0": ASSUMED_VELOCITY}
+    hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
     given = {k: v for k, v in setup.initial.items() if k not in values} | setup.fixed
     values |= hammer | {"x0": geometry.strike_position, "width": geometry.width}
     values |= {name: parameter.prior_median(key) for name, parameter in law.parameters.items()} | given
@@ -176,7 +176,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         low, high = setup.bounds.get(name, (ranges[name].lower, ranges[name].upper))
         values[name] = min(max(values[name], low), high)
     # A user's law may use the literature's names for other quantities.
-    shared = COMMON_PARAMETERS if law.hammers is None else {*HAMMER_NAMES, *law.parameters} & {*Hammer._fields}
+    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
     return InitialValues(
         values=values,
         initial=values | setup.initial,

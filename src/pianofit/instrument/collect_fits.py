@@ -19,14 +19,14 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..io.number_format import log_half_width
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import FIT_NAMES, Hammer
+from ..parameters import FIT_NAMES, HAMMER_NAMES, Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
@@ -161,7 +161,7 @@ def _load_key(file: Path) -> KeyFit:
     fit, name = read_fit(file), printable(file)
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
-    if not isinstance(note.hammer, Hammer):
+    if not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
     for i, recording in enumerate(fit.recordings):
         if not (recording.v_H0 > 0 and recording.gain):
@@ -175,8 +175,9 @@ def _load_key(file: Path) -> KeyFit:
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
     scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     # The laws are in log μ and log d, so a felt without loss or skin gets the smallest allowed ones.
-    least = {name: max(getattr(note.hammer, name), ALL_PARAMETERS[name].lower) for name in ("mu", "skin")}
-    h = note.hammer._replace(v_H0=float(velocities[-1]), **least)
+    skin = note.hammer.skin if isinstance(note.hammer, SoftHammer) else ALL_PARAMETERS["skin"].lower / scale
+    h = SoftHammer(*note.hammer[: len(HAMMER_NAMES)], skin=skin)
+    h = h._replace(v_H0=float(velocities[-1]), mu=max(h.mu, ALL_PARAMETERS["mu"].lower))
     speeds = {"mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), **speeds)
     response = None if note.modal_response is None else note.modal_response.scale_velocity(scale)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError
-from ..felt import check_hammer
+from ..felt import SoftHammer, check_hammer, make_hammer
 from ..io.files import printable, replace_file, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
-from ..parameters import Geometry, Hammer, String, check
+from ..parameters import HAMMER_NAMES, Geometry, String, check
 from ..schema.decode import encode_json
 from ..schema.fit import PathEntry, package_versions
 from ..schema.instrument import (
@@ -74,17 +74,19 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
 
 def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
     """Return the key of an entry, without an interpolated modal response. Its values are checked."""
-    string, hammer, geometry = vars(entry.string), vars(entry.hammer), Geometry(**vars(entry.geometry))
+    string, geometry = vars(entry.string), Geometry(**vars(entry.geometry))
+    felt = vars(entry.hammer) | {"v_H0": 2.0}  # each stroke sets its own velocity
+    hammer = make_hammer(felt if felt["skin"] else {name: felt[name] for name in HAMMER_NAMES})
     try:
         check(string, where)
-        check_hammer(Hammer(**hammer, v_H0=2.0), where)
+        check_hammer(hammer, where)
         check_geometry(geometry, quantity)
     except ParameterError as error:
         raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
     response = entry.modal_response
     note = Note(
         String(**string),
-        Hammer(**hammer, v_H0=2.0),  # each stroke sets its own velocity
+        hammer,
         geometry,
         quantity,
         entry.gain,
@@ -109,6 +111,7 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
 
 def _entry(midi: int, key: Key) -> KeyEntry:
     hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
+    skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
     modal_response = "neighbours" if key.is_interpolated else None
     if response is not None and not key.is_interpolated:
         modal_response = ModalResponseEntry.of(response, embed_knock=True)
@@ -117,7 +120,7 @@ def _entry(midi: int, key: Key) -> KeyEntry:
         note=midi_to_note(midi),
         state=key.state,
         string=StringEntry(*map(float, key.note.string)),
-        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H, hammer.skin))),
+        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H, skin))),
         geometry=GeometryEntry(*map(float, key.note.geometry)),
         gain=float(key.note.gain),
         path=None if path is None else PathEntry(path.frequency, path.db),

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..conversions import hertz_of, midi_of
-from ..felt import ALL_PARAMETERS
+from ..felt import ALL_PARAMETERS, SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, TYPICAL_VELOCITY, reference_compression, typical
 from ..model.note import Note
@@ -70,6 +70,11 @@ def is_force(quantity: str) -> bool:
     return quantity in ("bridge-force", "pressure")
 
 
+def soft_hammer(hammer: Hammer | SoftHammer) -> SoftHammer:
+    """Return a hammer with a skin. The law is in log d, so a felt without a skin gets the smallest allowed one."""
+    return hammer if isinstance(hammer, SoftHammer) else SoftHammer(*hammer, skin=ALL_PARAMETERS["skin"].lower)
+
+
 def key_quantities(note: Note, midi: int) -> dict[str, float]:
     """Return the `LAW_QUANTITIES` of a note.
 
@@ -77,7 +82,8 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
     ratios to string mass and length, the felt force at the `reference_compression` over the string mass (N/kg), p, μ
     (s/m), and the gain, times M_S for bridge force and pressure.
     """
-    s, h, g = note.string, note.hammer, note.geometry
+    s, g = note.string, note.geometry
+    h = soft_hammer(note.hammer)
     return {
         "cents": 100 * (midi_of(note.f0) - midi),
         "B": note.B,
@@ -121,7 +127,7 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
     width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
     geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
     gain = at["gain"] / (mass if is_force(quantity) else 1.0)
-    return Note(String(**_clipped(string)), Hammer(**_clipped(hammer)), geometry, quantity, gain)
+    return Note(String(**_clipped(string)), SoftHammer(**_clipped(hammer)), geometry, quantity, gain)
 
 
 def _clipped(values: dict[str, float]) -> dict[str, float]:
@@ -133,5 +139,5 @@ def literature(midi: int) -> dict[str, float]:
     it = typical(midi)
     width = min(it.geometry.width, 0.1 * it.geometry.length)
     geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
-    hammer = it.hammer._replace(skin=SOFT_SKIN.parameters["skin"].prior_median(midi))
+    hammer = SoftHammer(*it.hammer, SOFT_SKIN.parameters["skin"].prior_median(midi))
     return key_quantities(Note(it.string, hammer, geometry, "velocity", 1.0), midi)

@@ -93,7 +93,8 @@ def strike(
     Parameters
     ----------
     modes : the table, see `mode_table`. The error is of second order in its step: at 88,200 Hz it is 1e-3.
-    hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `SoftHammer`, a `RelaxingHammer`, or a hammer of a
+        `FeltLaw`.
     steps : number of steps; a multiple of 32. Contacts last 1 to 8 ms: 1024 steps at 88,200 Hz suit the middle
         register, the bass needs more. The cost is linear in steps and in modes.
     free : motion of a string that already sounds, see `pluck`; at rest by default.

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import deferred
 from ..errors import ParameterError, check_range, check_type
-from ..felt import RelaxingHammer
+from ..felt import RelaxingHammer, SoftHammer
 from ..io.audio import RATES
 from ..io.number_format import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
@@ -40,7 +40,8 @@ class Note(NamedTuple):
 
     Parameters
     ----------
-    string, hammer, geometry : in SI units; see `String`, `Hammer` (or `RelaxingHammer`, `FeltLaw.hammer`), `Geometry`.
+    string, geometry : in SI units; see `String` and `Geometry`.
+    hammer : in SI units; see `Hammer`, `SoftHammer`, `RelaxingHammer` and `FeltLaw.hammer`.
     quantity : measured quantity, see `mode_table`.
     gain : file units (full scale = 1) per unit of the pickup.
     path : output path, dB over frequency, in addition to the gain.
@@ -59,7 +60,7 @@ class Note(NamedTuple):
     """
 
     string: String
-    hammer: Hammer | RelaxingHammer
+    hammer: Hammer | SoftHammer | RelaxingHammer
     geometry: Geometry
     quantity: str
     gain: float

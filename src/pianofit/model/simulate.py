@@ -154,7 +154,7 @@ def simulate(
     Parameters
     ----------
     string, geometry : in SI units; see `String` and `Geometry`.
-    hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : sample rate of the signal, Hz.
     oversampling : contact rate over sample rate; if None as high as the string needs.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.

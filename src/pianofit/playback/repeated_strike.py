@@ -13,7 +13,7 @@ import numpy as np
 
 from ..dsp.damped_sums import AMPLITUDE_FLOOR
 from ..errors import FitError, ParameterError
-from ..felt import RelaxingHammer, is_builtin, law_of
+from ..felt import RelaxingHammer, SoftHammer, is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
 from ..model.damped_sums import BLOCK, real_powers
 from ..model.modal_response import ForcePulse, trim_trailing_zeros
@@ -89,7 +89,7 @@ def string_tables(note: Note, rate: float) -> StringTables:
 
 
 def strike_string(
-    table: StringTables, hammer: Hammer | RelaxingHammer, state: np.ndarray, where: str
+    table: StringTables, hammer: Hammer | SoftHammer | RelaxingHammer, state: np.ndarray, where: str
 ) -> tuple[np.ndarray, ForcePulse]:
     """Strike a string that moves as q = Re(state · exp(p t)), state complex [modes]; return T [steps] and the force.
 

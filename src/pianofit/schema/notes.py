@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FitError, ParameterError
-from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, law_of, make_hammer
+from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
 from ..io.files import printable, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -197,8 +197,7 @@ def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
     values = {name: value for name, value in initial.items() if value is not None}
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
-        absent = {"skin": 0.0} if law_of(note.hammer).hammers else {}
-        hammer = type(note.hammer)(**{name: (absent | values)[name] for name in note.hammer._fields})
+        hammer = type(note.hammer)(**{name: values[name] for name in note.hammer._fields})
         geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
     except KeyError as missing:
         raise FitError(f"this fit.json has no initial {missing.args[0]}; fit the recordings again") from None

@@ -50,7 +50,7 @@ export function noteDocument(key, { velocity, rate, origin }) {
   const response = key.modal_response ? responseOf(key) : null;
   return {
     schema: SCHEMA, program: "pianofit", kind: "note", origin,
-    felt: "soft-skin",
+    felt: hammer.skin ? "soft-skin" : hammer.mu === 0 ? "power" : "hunt-crossley",
     parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
     recordings: [{ gain, rate }],
     pickup: { quantity, path: pathOf(key) },

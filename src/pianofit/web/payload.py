@@ -16,7 +16,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..dsp.filters import resample
 from ..errors import ParameterError
-from ..felt.soft_skin import SOFT_SKIN
+from ..felt.soft_skin import SOFT_SKIN, SoftHammer
 from ..instrument import Instrument
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse
@@ -129,7 +129,7 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
     ParameterError
         For a relaxing felt and a felt law that is not built in.
     """
-    if type(note.hammer) is not Hammer:
+    if not isinstance(note.hammer, Hammer | SoftHammer):
         raise ParameterError(
             f"key {midi_to_note(midi)}: a page does not play a {type(note.hammer).__name__}; fit the key with "
             f"--felt {SOFT_SKIN.name}"

@@ -1,12 +1,12 @@
 """The felt laws of this package in one formula, and one equation per step.
 
-    F = K_H [g^p (1 + μ u̇) - ε c], never below 0,     τ ċ = g^p - c,     g = u²/(u + d)
+    F = K_H [g^p (1 + μ u̇) - ε c], never below 0,     τ ċ = u^p - c,     g = u²/(u + d)
 
 Without a skin d, g = u. Then, without μ and ε this is the power law (Ghosh), with μ the law of Hunt and Crossley, which
-the paper uses, and with ε the law of Stulov. g^p is assumed linear in time over a step. Then c has a closed form at any
-τ,
+the paper uses, and with ε the law of Stulov. A felt does not have both. u^p is assumed linear in time over a step. Then
+c has a closed form at any τ,
 
-    c_n = k c_(n-1) + w0 a_(n-1) + w1 a_n,     a = g^p, 0 when apart,     k = exp(-δt/τ),     k + w0 + w1 = 1
+    c_n = k c_(n-1) + w0 a_(n-1) + w1 a_n,     a = u^p, 0 when apart,     k = exp(-δt/τ),     k + w0 + w1 = 1
 
 u̇ is w_n = (u_n - u_(n-1))/a - w_(n-1) (paper eq. 16). String and hammer yield by C per newton of F_n + F_(n-1). So a
 step is one equation, u + C F(u) = upper. F is convex, and rises wherever it is not 0, since ε w1 < 1. Newton's iterates
@@ -26,7 +26,7 @@ from jaxtyping import Array
 from ...parameters import Hammer
 from ...x64 import AnyArray, derivative, float64
 from ..relaxing import RelaxingHammer
-from ..soft_skin import base
+from ..soft_skin import SoftHammer, base
 
 # Limit of iterations. From the worst start (p = 5) each reduces the error by a fifth until convergence is quadratic.
 MAX_ITERATIONS = 200
@@ -45,9 +45,19 @@ class Weights(NamedTuple):
     new: Array
 
 
-def felt_force(u: Array, w: Array, hammer: Hammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
+def _base(u: Any, hammer: Any) -> Any:
+    """g of a felt with a skin, u of any other."""
+    return base(u, hammer) if isinstance(hammer, SoftHammer) else u
+
+
+def _softness(u: Any, hammer: Any) -> Any:
+    """d/(u + d): the exponent of the force is p times this plus 1."""
+    return hammer.skin / (u + hammer.skin) if isinstance(hammer, SoftHammer) else 0.0
+
+
+def felt_force(u: Array, w: Array, hammer: Hammer | SoftHammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
     """Felt force, N; for a relaxing felt, c is `memory`, m^p, plus `share` times g^p."""
-    power = base(jnp.where(u > 0, u, 1.0), hammer) ** hammer.p
+    power = _base(jnp.where(u > 0, u, 1.0), hammer) ** hammer.p
     if not isinstance(hammer, RelaxingHammer):
         return jnp.where(u > 0, hammer.K_H * power * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
     loss = jnp.maximum(1 + hammer.mu * w - hammer.epsilon * share, 0.0)
@@ -78,7 +88,7 @@ def update_relaxation(u: Array, hammer: Any, weights: Weights | None, memory: An
     """Part of c that the next step inherits, k c_n + w0 a_n, from `u` and `memory` of this step."""
     if weights is None:
         return None
-    a = jnp.where(u > 0, base(jnp.where(u > 0, u, 1.0), hammer) ** hammer.p, 0.0)
+    a = jnp.where(u > 0, jnp.where(u > 0, u, 1.0) ** hammer.p, 0.0)
     return weights.kept * (memory + weights.new * a) + weights.old * a
 
 
@@ -95,10 +105,9 @@ def residual(u, *rest):
 def _curved_residual(u, upper, u_old, w_old, c, a, hammer, weights, memory):
     """u + C F(u) - upper, and its first and second derivative by u."""
     pressed = jnp.maximum(u, SMALLEST)
-    # d/(u + d): the exponent of the force is p (1 + soft).
-    soft = hammer.skin / (pressed + hammer.skin)
+    soft = _softness(pressed, hammer)
     exponent = hammer.p * (1 + soft)
-    stiff = c * hammer.K_H * _power(base(pressed, hammer), hammer.p) / pressed
+    stiff = c * hammer.K_H * _power(_base(pressed, hammer), hammer.p) / pressed
     loss = 1 + hammer.mu * ((u - u_old) / a - w_old)
     if weights is not None:
         loss = loss - hammer.epsilon * weights.new
@@ -116,8 +125,9 @@ def _curved_residual(u, upper, u_old, w_old, c, a, hammer, weights, memory):
 def _guess(upper, u_old, w_old, c, a, hammer):
     """Initial value: u extrapolated; if that is out of range, u if the felt force alone made up `upper`."""
     extrapolated = u_old + 2 * a * w_old
-    g = _power(jnp.maximum(upper, jnp.finfo(float).tiny) / (c * hammer.K_H), 1 / hammer.p)
-    felt_only = 0.5 * (g + jnp.sqrt(g * (g + 4 * hammer.skin)))
+    felt_only = _power(jnp.maximum(upper, jnp.finfo(float).tiny) / (c * hammer.K_H), 1 / hammer.p)
+    if isinstance(hammer, SoftHammer):  # that was g
+        felt_only = 0.5 * (felt_only + jnp.sqrt(felt_only * (felt_only + 4 * hammer.skin)))
     in_range = (u_old > 0) & (extrapolated > 0) & (extrapolated < upper)
     return jnp.clip(jnp.where(in_range, extrapolated, felt_only), 0.0, upper)
 
