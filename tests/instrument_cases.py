@@ -132,7 +132,8 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
     ]  # fmt: skip
     path = None if note.path is None else PathEntry(note.path.frequency, note.path.db)
     fit = Fit(
-        recipe="default", felt="hunt-crossley", seed=0, converged=True, identifiability_statement="", warnings=(), invariants=Quantities({}),
+        recipe="default", felt="hunt-crossley", seed=0,
+        converged=True, identifiability_statement="", warnings=(), invariants=Quantities({}),
         parameters=Quantities.of(quantity(name, value, errors.get(name)) for name, value in values.items()),
         recordings=tuple(recordings), minima=(), pickup=Pickup(note.quantity, path), levels=levels, criterion=criterion,
         derived=Derived(1.0, 1e-4, 1.0, 0.2, (), 0.0, ()), diagnostics=Diagnostics(1, 1),

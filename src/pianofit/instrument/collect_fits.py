@@ -26,12 +26,12 @@ from ..io.number_format import log_half_width
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import FIT_NAMES, HAMMER_NAMES, Hammer
+from ..parameters import FIT_NAMES, Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..schema.quantities import Quantity
-from .key_quantities import LAW_QUANTITIES
+from .key_quantities import LAW_QUANTITIES, soft_hammer
 
 # Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST_VELOCITY = 4.0
@@ -174,12 +174,10 @@ def _load_key(file: Path) -> KeyFit:
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
     scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
-    # The laws are in log μ and log d, so a felt without loss or skin gets the smallest allowed ones.
-    skin = note.hammer.skin if isinstance(note.hammer, SoftHammer) else ALL_PARAMETERS["skin"].lower / scale
-    h = SoftHammer(*note.hammer[: len(HAMMER_NAMES)], skin=skin)
-    h = h._replace(v_H0=float(velocities[-1]), mu=max(h.mu, ALL_PARAMETERS["mu"].lower))
-    speeds = {"mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
-    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), **speeds)
+    # The law is in log μ, so a felt without loss gets the smallest allowed μ.
+    h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, ALL_PARAMETERS["mu"].lower))
+    scaled = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
+    hammer = soft_hammer(scaled._replace(skin=scaled.skin * scale) if isinstance(scaled, SoftHammer) else scaled)
     response = None if note.modal_response is None else note.modal_response.scale_velocity(scale)
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(

@@ -17,7 +17,7 @@ from ..felt import ALL_PARAMETERS, SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, TYPICAL_VELOCITY, reference_compression, typical
 from ..model.note import Note
-from ..parameters import Geometry, Hammer, String
+from ..parameters import HAMMER_NAMES, Geometry, String
 from .laws import Prior
 
 
@@ -70,9 +70,13 @@ def is_force(quantity: str) -> bool:
     return quantity in ("bridge-force", "pressure")
 
 
-def soft_hammer(hammer: Hammer | SoftHammer) -> SoftHammer:
+def soft_hammer(hammer: Any) -> SoftHammer:
     """Return a hammer with a skin. The law is in log d, so a felt without a skin gets the smallest allowed one."""
-    return hammer if isinstance(hammer, SoftHammer) else SoftHammer(*hammer, skin=ALL_PARAMETERS["skin"].lower)
+    return (
+        hammer
+        if isinstance(hammer, SoftHammer)
+        else SoftHammer(*hammer[: len(HAMMER_NAMES)], skin=ALL_PARAMETERS["skin"].lower)
+    )
 
 
 def key_quantities(note: Note, midi: int) -> dict[str, float]:
