@@ -76,7 +76,7 @@ def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
     """Return the key of an entry, without an interpolated modal response. Its values are checked."""
     string, geometry = vars(entry.string), Geometry(**vars(entry.geometry))
     felt = vars(entry.hammer) | {"v_H0": 2.0}  # each stroke sets its own velocity
-    hammer = make_hammer(felt if felt["skin"] else {name: felt[name] for name in HAMMER_NAMES})
+    hammer = make_hammer(felt if entry.hammer.skin else {name: felt[name] for name in HAMMER_NAMES})
     try:
         check(string, where)
         check_hammer(hammer, where)

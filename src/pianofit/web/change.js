@@ -32,7 +32,7 @@ export function changed(key, changes) {
   const within = (name, x) => x && Math.min(Math.max(x, BOUNDS[name][0]), BOUNDS[name][1]);
   const p = within("p", hammer.p + c.p), out = { ...key };
   out.hammer = { p, mu: within("mu", hammer.mu * c.mu), M_H: within("M_H", hammer.M_H * c.mass),
-    skin: hammer.skin };
+    ...(hammer.skin ? { skin: hammer.skin } : {}) };
   // The force at the reference compression does not change with p.
   const before = staticForce(hammer, key.compression), unit = staticForce({ ...out.hammer, K_H: 1 }, key.compression);
   out.hammer.K_H = within("K_H", (c.force * before) / unit);
