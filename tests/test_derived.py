@@ -14,7 +14,7 @@ from twin_cases import FIRST, record_model, setup_of
 import pianofit
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import FitError, ParameterError
-from pianofit.felt import LAWS
+from pianofit.felt import ALL_PARAMETERS, LAWS, check_hammer
 from pianofit.literature import reference_compression
 from pianofit.model.note import Note
 from pianofit.result import Result
@@ -103,6 +103,14 @@ def test_the_force_at_the_reference_compression_is_gaussian_even_with_a_wide_exp
     half = 0.05 * HALF_WIDTH_95
     centre = np.log(own["K_H"]) + own["p"] * log_u
     np.testing.assert_allclose(log_interval(draws, force), centre + np.array([-half, half]), atol=1e-6 * half)
+
+
+def test_probes_and_draws_stay_in_the_ranges_of_the_felt():
+    """Twice the exponent is a probe, and above the range of exponents."""
+    draws = calibrated().draw_set.draws
+    assert max(draw.values["p"] for draw in draws) > ALL_PARAMETERS["p"].upper
+    for draw in draws:
+        check_hammer(draw.note.hammer)
 
 
 def test_draws_of_a_sampler_are_used_as_they_are():

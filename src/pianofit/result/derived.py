@@ -163,10 +163,15 @@ class DrawSet:
         columns = {name: np.broadcast_to(values, count).tolist() for name, values in self._drawn.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         values = [self._best_values, *self._probes.values(), *(rows if self.fit.has_intervals else [])]
-        notes = [_note(self.best, one) for one in values]
+        notes = [_note(self.best, self._within_ranges(one)) for one in values]
         strokes = _Strokes(notes, self.first, self.fit.reference.rate)
         pairs = enumerate(zip(values, notes, strict=True))
         return [ModelDraw(one, note, lambda i=i: strokes.all[i]) for i, (one, note) in pairs]
+
+    def _within_ranges(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values with the felt inside its ranges: probes and another scale of the velocities can leave them."""
+        boxes = self.law.parameters.items()
+        return {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
 
     def evaluate(self, function: Callable[[ModelDraw], Any]) -> DerivedQuantity:
         """Return value, interval, status and draws of a function."""
