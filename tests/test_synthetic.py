@@ -134,6 +134,25 @@ def test_a_fit_recovers_what_was_simulated(tmp_path, capsys):
     assert outside <= 2
 
 
+def test_a_skin_is_found():
+    """A calibrated stroke determines the skin, and the exponent of the force where it presses the felt far better."""
+    hammer = pianofit.SoftHammer(*TYPICAL.hammer._replace(v_H0=1.4), skin=1.5e-4)
+    simulated = synthetic_recording(TYPICAL.string, hammer, TYPICAL.geometry, noise_db=60)
+    found = pianofit.fit(simulated.recording, setup=simulated.setup, progress=False)
+    assert found.fit.felt == "soft-skin"
+    for name in ("K_H", "mu", "p", "skin", "M_H", "v_H0"):
+        quantity = found.parameters[name]
+        assert quantity.status == "fitted"
+        low, high = quantity.interval
+        middle, half = np.sqrt(low * high), 0.5 * np.log(high / low)
+        assert abs(np.log(simulated.true[name] / middle)) < 2 * half, f"{name}: more than four standard deviations"
+    u = 1e-3 * found.fit.derived.reference_compression_mm
+    true = hammer.p * (1 + hammer.skin / (u + hammer.skin))
+    local = found.derived_quantities["local_exponent"]
+    assert local.value == pytest.approx(true, rel=0.02)
+    assert np.log(local.interval[1] / local.interval[0]) < 0.3 * np.log(np.divide(*found.parameters.p.interval[::-1]))
+
+
 def test_a_setup_never_replaces_a_file(tmp_path, capsys):
     common = ["simulate", "--typical", "F3", "--seconds", "0.1", "--out", str(tmp_path / "a.wav"), "--setup-out"]
     (tmp_path / "setup.toml").write_text("string.length = 0.9")
