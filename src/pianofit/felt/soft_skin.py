@@ -80,6 +80,6 @@ SOFT_SKIN = FeltLaw(
     base=base,
     hammers=SoftHammer,
     columns=COLUMNS,
-    formula=("F = K_H g^p (1 + μ \\dot{u})", "g = u^2 / (u + d)"),
+    formula=(r"F = K_H (\frac{u^2}{u + d})^p (1 + μ \dot{u})",),
 )
 LAWS = (SOFT_SKIN,)

@@ -278,6 +278,6 @@ def interval_method_text(fit: Fit) -> str:
 
 
 def is_power_law(fit: Fit) -> bool:
-    """Return whether the static force of the felt is K_H u^p; False for a user law, which the file only names."""
+    """Return whether the static force of the felt is K_H u^p; False with a skin and for a user law."""
     law = LAWS.get(fit.felt)
-    return law is not None and law.power is not None
+    return law is not None and law.power is not None and law.base is None
