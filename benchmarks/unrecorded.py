@@ -1,19 +1,28 @@
-"""How far keys that are inferred from their neighbours are from their recordings.
+"""How far keys that were never recorded are from their recordings.
 
-    python benchmarks/unrecorded.py FITS RECORDINGS [--prefix headroom] [--json FILE]
+    python benchmarks/unrecorded.py FITS RECORDINGS [--prefix headroom] [--keys C2-D#4] [--every 2] [--json FILE]
 
-FITS holds `KEY/fit.json` of one instrument, as `pianofit fit` or `pianofit batch` left them, RECORDINGS the files that
-they name. Every inner key is left out in turn: the instrument is put together from the others, the key is struck at the
-velocities of its recordings, and both what it rings with by its neighbours and the string's law alone are compared with
-every recording by `../shared/tools/realism.py`, dB, attack in brackets: mean over its layers. Beside them stands the
-key's own fit in the instrument of all keys.
+FITS holds `KEY/fit.json` of one instrument, as `pianofit fit` or `pianofit batch` left them. RECORDINGS has the files
+that they name, also in subfolders. Every inner key is left out in turn, or every second, third... key at once. The
+instrument is built from the other keys, and the key is struck at the velocities of its recordings, on the scale that
+the instrument of all keys gives it. The distance from every recording is that of `../shared/tools/realism.py`, dB, mean
+over the layers of the key, with the attack in brackets. The columns are
+
+    law          the string model of the key by the keyboard laws, without a modal response
+    guess        the guess of the instrument
+    other speed  the recording of the nearest recorded key, at the layer of the same rank, played at another speed
+    own fit      the key's own fit
+
+`loudness` is the error of the K-weighted level of the guess, dB, with one gain taken out for all left-out keys.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from realism import measure
@@ -22,10 +31,34 @@ from scipy import signal
 RATE = 44_100
 SECONDS = 3.3
 BEFORE = 0.02  # s of silence before the contact
+COLUMNS = ("law", "guess", "other speed", "own fit")
+
+
+def left_out(keys: Sequence[Any], every: int) -> Iterator[list[Any]]:
+    """Keys that are left out together."""
+    if every:
+        for start in range(1, every):
+            yield list(keys[start:-1:every])
+    else:
+        yield from ([key] for key in keys[1:-1])
+
+
+def other_speed(tool: Any, path: Path, semitones: float) -> np.ndarray:
+    """A recording transposed by playing it at another speed, at the tool's rate."""
+    sound = tool.load(str(path))
+    ratio = 2 ** (semitones / 12)
+    return np.interp(np.arange(0, len(sound) - 1, ratio), np.arange(len(sound)), sound)
+
+
+def k_level(tool: Any, sound: np.ndarray) -> float:
+    """K-weighted level of the first second after the onset, dB."""
+    start = tool.onset(sound)
+    return float(10 * np.log10(np.mean(tool.k_weighted(sound)[start : start + tool.RATE] ** 2)))
 
 
 def main() -> None:
     """Print the table."""
+    from pianofit.analysis import note_to_midi
     from pianofit.instrument import build_instrument, find_fits, load_keys
     from pianofit.model.program_cache import enable_program_cache
 
@@ -33,33 +66,59 @@ def main() -> None:
     parser.add_argument("fits", type=Path)
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--prefix")
+    parser.add_argument("--keys", help="only keys from LOW-HIGH are left out or used, such as C2-D#4")
+    parser.add_argument("--every", type=int, default=0, help="keep every second, third... key; default: all but one")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     enable_program_cache()
     tool, found = measure(), {}
+    files = {file.name: file for file in options.recordings.rglob("*") if file.is_file()}
     keys = load_keys(find_fits([options.fits], options.prefix))
+    if options.keys:
+        low, high = map(note_to_midi, options.keys.split("-"))
+        keys = [key for key in keys if low <= key.midi <= high]
     whole = build_instrument(keys)
 
-    def distances(note, key) -> dict[str, float]:
-        rows = []
-        for layer in key.summary.layers:
-            sound = note.render(layer.velocity, seconds=SECONDS, rate=RATE)
-            target = tool.load(str(options.recordings / Path(layer.file).name))
-            by = np.gcd(tool.RATE, RATE)
-            sound = signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
-            there = tool.compare(target, sound)
-            rows.append({"distance": there["distance_db"], **there["logmel_db"]})
-        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    def rendered(note: Any, velocity: float) -> np.ndarray:
+        sound = note.render(velocity, seconds=SECONDS, rate=RATE)
+        by = np.gcd(tool.RATE, RATE)
+        return signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
 
-    print(f"{'':20}{'law':>16}{'by neighbours':>16}{'own fit':>16}   dB, attack in brackets", flush=True)
-    for left in keys[1:-1]:
-        rest = build_instrument([key for key in keys if key is not left])
-        note, own = rest.keys[left.midi].note, whole.keys[left.midi].note
-        rows = [distances(x, left) for x in (note._replace(modal_response=None), note, own)]
-        name = Path(left.summary.file).parent.name
-        found[name] = dict(zip(("law", "by neighbours", "own fit"), rows, strict=True))
-        cells = [f"{row['distance']:.2f} ({row['attack']:.2f})" for row in rows]
-        print(f"{name:20}" + "".join(f"{cell:>16}" for cell in cells), flush=True)
+    print(f"{'':16}" + "".join(f"{column:>15}" for column in COLUMNS) + "  loudness   dB", flush=True)
+    for out in left_out(keys, options.every):
+        rest = [key for key in keys if key not in out]
+        piano = build_instrument(rest)
+        for key in out:
+            near = min(rest, key=lambda other, key=key: abs(other.midi - key.midi))
+            guess = piano.keys[key.midi].note
+            rows: list[dict[str, Any]] = []
+            own = whole.keys[key.midi]
+            for rank, layer in enumerate(own.fit.layers):
+                target = tool.load(str(files[Path(layer.file).name]))
+                at = round(rank * (len(near.summary.layers) - 1) / max(len(key.summary.layers) - 1, 1))
+                neighbour = files[Path(near.summary.layers[at].file).name]
+                sounds = {
+                    "law": rendered(guess._replace(modal_response=None), layer.velocity),
+                    "guess": rendered(guess, layer.velocity),
+                    "other speed": other_speed(tool, neighbour, key.midi - near.midi),
+                    "own fit": rendered(own.note, layer.velocity),
+                }
+                compared = {name: tool.compare(target, sound) for name, sound in sounds.items()}
+                rows.append(
+                    {name: {"distance": x["distance_db"], **x["logmel_db"]} for name, x in compared.items()}
+                    | {"loudness": k_level(tool, sounds["guess"]) - k_level(tool, target)}
+                )
+            name = Path(key.summary.file).parent.name
+            found[name] = {
+                column: {part: float(np.mean([row[column][part] for row in rows])) for part in rows[0][column]}
+                for column in COLUMNS
+            } | {"loudness": float(np.mean([row["loudness"] for row in rows])), "nearest": abs(near.midi - key.midi)}
+            cells = [f"{found[name][c]['distance']:.2f} ({found[name][c]['attack']:.2f})" for c in COLUMNS]
+            print(f"{name:16}" + "".join(f"{c:>15}" for c in cells) + f"{found[name]['loudness']:+10.1f}", flush=True)
+    means = {c: {p: np.mean([row[c][p] for row in found.values()]) for p in ("distance", "attack")} for c in COLUMNS}
+    loudness = np.std([row["loudness"] for row in found.values()])
+    cells = [f"{means[c]['distance']:.2f} ({means[c]['attack']:.2f})" for c in COLUMNS]
+    print(f"{'mean':16}" + "".join(f"{cell:>15}" for cell in cells) + f"{loudness:10.1f} rms")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 

@@ -1,15 +1,16 @@
 """From the fits of single keys to a whole instrument.
 
-Each of the `LAW_QUANTITIES` has a keyboard law (`laws`). The output path has a law over keys and frequency. A fitted
-key combines its fit with the laws. Any other key takes the values of the laws. The values are converted to notes, so
-that every key can be played.
+The fits measure the `LAW_QUANTITIES` of their keys, and the posterior of the whole keyboard gives those of all 88
+(`keyboard_posterior`). A recorded key is played as it was fitted. The keyboard sets only its scale of velocities, where
+the recordings leave it open. Any other key takes the values of the laws, and its modal response is a guess from those
+of the recorded keys (`guessed_keys`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,24 +18,28 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
 from ..errors import ParameterError
 from ..io.number_format import counted
-from ..model.output_path import OutputPath
-from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, ValueState, VelocityCurve
-from .collect_fits import KeyFit
+from ..model.note import Note
+from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
+from .collect_fits import KeyFit, scale_key
+from .guessed_keys import fields_of, guess_path, guess_response, string_law
 from .instrument import Instrument, Key
-from .interpolate_keys import with_interpolated_responses
-from .key_quantities import LAW_QUANTITIES, is_force, key_quantities, literature, note_from_quantities
-from .laws import ENOUGH_KEYS, Law, fit_law
+from .key_quantities import (
+    LAW_QUANTITIES,
+    literature,
+    note_from_quantities,
+    stroke_level,
+)
+from .keyboard_posterior import KeyboardPosterior, keyboard_posterior
+from .measured_fields import KeyFields
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
-# The state of a key is the first of these that any of its values has.
-WORST_FIRST: tuple[ValueState, ...] = ("outlier", "pulled", "fitted")
-# A value is pulled if the law moved it by more than this many of its own standard deviations.
-PULLED = 0.5
-# Standard deviations of the output path's law, dB: common to all keys, drift over the keyboard, single partials.
-COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
-# Their lengths, octaves and keys.
-OCTAVES, DRIFT_KEYS = 1.0, 15.0
-THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
+NAMES = tuple(LAW_QUANTITIES)
+# With fewer keys, the shapes of the laws come from the literature.
+ENOUGH_KEYS = 5
+# Deviation from the prediction of all other keys beyond which a key is named, standard deviations.
+NAMED_SD = 4.0
+# Share of a minimum above which the keyboard has decided against the fit.
+DECIDED = 0.5
 # Prior of the velocity curve: standard deviations of the logarithm at MIDI velocity 64, and of its rise.
 VELOCITY_PRIOR_SD = (0.7, 0.5)
 # Standard deviation of the logarithm of a layer's velocity about the curve, and the smallest rise of the curve.
@@ -67,18 +72,29 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     """
     if not keys:
         raise ParameterError("no fit was given; an instrument needs at least one fit.json")
-    own = [key_quantities(key.note, key.midi) for key in keys]
-    base = {n: np.array([literature(int(m)).get(n, 1.0) for m in KEYS]) for n in LAW_QUANTITIES}
-    base["gain"] = _mean_gain(keys, own, base)
-    columns = {n: _column(n, keys, np.array([o[n] for o in own]), base[n]) for n in LAW_QUANTITIES}
-    paths, fitted = _path_law(keys), {key.midi: j for j, key in enumerate(keys)}
-    built = {int(midi): _key(int(midi), fitted.get(int(midi)), keys, columns, paths) for midi in KEYS}
+    reference = _reference(keys)
+    priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
+    posterior = keyboard_posterior([key.measured for key in keys], reference, priors, KEYS.tolist())
+    keys = [scale_key(key, math.exp(scale)) for key, scale in zip(keys, posterior.log_scale, strict=True)]
+    laws = {n: _keyboard_law(q, posterior, reference) for q, n in enumerate(NAMES)}
+    recorded = {key.midi: Key(key.note, "recorded", _values(key.midi, posterior, keys), key.summary) for key in keys}
+    fields = fields_of(recorded, laws)
+    guessed = {
+        int(midi): Key(
+            _guess(int(midi), laws, fields, keys[0].note),
+            "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated",
+            _values(int(midi), posterior, keys),
+            is_guessed=True,
+        )
+        for midi in KEYS
+        if midi not in recorded
+    }
     return Instrument(
         name,
-        with_interpolated_responses(built),
+        dict(sorted((recorded | guessed).items())),
         fit_velocity_curve([key.summary.velocities for key in keys]),
-        {n: _keyboard_law(n, column, base[n], keys) for n, column in columns.items()},
-        tuple(_warnings(keys, columns)),
+        laws,
+        tuple(_warnings(keys, posterior)),
     )
 
 
@@ -106,141 +122,84 @@ def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
     return VelocityCurve(math.exp(middle), max(float(rise), LEAST_RISE), "layers", layers)
 
 
-def _mean_gain(keys: Sequence[KeyFit], own: list[dict], base: dict[str, np.ndarray]) -> np.ndarray:
-    """Reference of the gain's law [88]: the mean over the fitted keys, in place of a value from the literature."""
-    mass = base["M_S/L"] * base["L"] if is_force(keys[0].note.quantity) else np.ones(len(KEYS))
-    log_gains = [math.log(o["gain"] / mass[key.midi - LOWEST_KEY]) for o, key in zip(own, keys, strict=True)]
-    return mass * math.exp(np.mean(log_gains))
+def _reference(keys: Sequence[KeyFit]) -> np.ndarray:
+    """Values of the literature on the scales of the laws [quantities, 88]; for the level the mean of the keys."""
+    level = float(np.mean([key.measured.minima[0].mean[NAMES.index("level")] for key in keys]))
+    rows = [literature(int(midi)) | {"level": level} for midi in KEYS]
+    return np.array([LAW_QUANTITIES[n].scaled([row[n] for row in rows]) for n in NAMES])
 
 
-class _Column(NamedTuple):
-    """One quantity over the keyboard, on the scale of its law."""
-
-    law: Law
-    centre: np.ndarray  # mean of the law [88]
-    played: np.ndarray  # value of every key: from the law, from its own fit, or from both [88]
-    sd: np.ndarray  # of `played` [88]
-    own: np.ndarray  # value of the fit [keys]
-    own_sd: np.ndarray  # [keys]
-    state: list[ValueState]  # [keys]
-
-
-def _column(name: str, keys: Sequence[KeyFit], values: np.ndarray, base: np.ndarray) -> _Column:
-    quantity, fitted = LAW_QUANTITIES[name], np.array([key.midi for key in keys])
-    own, reference, index = quantity.scaled(values), quantity.scaled(base), fitted - LOWEST_KEY
-    sd = np.array([key.sd[name] for key in keys])
-    deviation = own - reference[index]
-    law = fit_law(fitted.astype(float), deviation, sd, KEYS.astype(float), quantity.prior)
-    kept = np.array([_keeps_fit(key, name) for key in keys])
-    pulled = ~kept & (np.abs(law.value - deviation) > PULLED * sd)
-    centre = reference + law.mean
-    # A key that was never recorded also deviates from the law by the scatter between keys.
-    played, played_sd = centre.copy(), np.hypot(law.sd, law.scatter)
-    played[index] = reference[index] + np.where(kept, deviation, law.value)
-    played_sd[index] = np.where(kept, sd, law.value_sd)
-    state = np.select([law.outlier, pulled], ["outlier", "pulled"], "fitted").tolist()
-    return _Column(law, centre, played, played_sd, own, sd, state)
-
-
-def _keeps_fit(key: KeyFit, name: str) -> bool:
-    """Return True if a key keeps its own value. Its modes and knock were measured with its own force."""
-    return LAW_QUANTITIES[name].keeps_fit or key.note.modal_response is not None
-
-
-def _key(
-    midi: int,
-    j: int | None,
-    keys: Sequence[KeyFit],
-    columns: dict[str, _Column],
-    paths: Callable[[int], OutputPath | None],
-) -> Key:
-    """Return one key; `keys[j]` is its fit, if it has one."""
-    values = {name: _value(name, column, midi - LOWEST_KEY, j) for name, column in columns.items()}
-    note = note_from_quantities({n: value.value for n, value in values.items()}, midi, keys[0].note.quantity)
-    sign = math.copysign(1.0, sum(math.copysign(1.0, key.note.gain) for key in keys) or 1.0)
-    note = note._replace(gain=sign * note.gain)
-    if j is None:
-        state = "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated"
-        return Key(note._replace(path=paths(midi)), state, values, is_interpolated=True)
-    own, states = keys[j].note, {columns[name].state[j] for name in columns if not LAW_QUANTITIES[name].keeps_fit}
-    worst: ValueState = next(state for state in WORST_FIRST if state in states)
-    return Key(note._replace(path=own.path, modal_response=own.modal_response), worst, values, keys[j].summary)
-
-
-def _value(name: str, column: _Column, i: int, j: int | None) -> KeyValue:
-    """Return one quantity of the key with the index `i`; `j` is the index of its fit, if it has one."""
-    unscaled, law, own = LAW_QUANTITIES[name].unscaled, column.law, None
-    if j is not None:
-        value, interval = float(unscaled(column.own[j])), _interval(name, column.own[j], column.own_sd[j])
-        own = OwnFit(value, interval, column.state[j], float(law.z[j]))
-    interval = _interval(name, column.played[i], column.sd[i])
-    return KeyValue(float(unscaled(column.played[i])), interval, float(unscaled(column.centre[i])), own)
-
-
-def _interval(name: str, y: Any, sd: Any) -> tuple[Any, Any]:
-    """Return the ends of the 95 % interval."""
-    unscaled = LAW_QUANTITIES[name].unscaled
-    return unscaled(y - HALF_WIDTH_95 * sd), unscaled(y + HALF_WIDTH_95 * sd)
-
-
-def _keyboard_law(name: str, column: _Column, base: np.ndarray, keys: Sequence[KeyFit]) -> KeyboardLaw:
-    quantity, law = LAW_QUANTITIES[name], column.law
-    low, high = _interval(name, column.centre, law.sd)
+def _keyboard_law(q: int, posterior: KeyboardPosterior, reference: np.ndarray) -> KeyboardLaw:
+    quantity, shape = LAW_QUANTITIES[NAMES[q]], posterior.shapes[q]
+    low, high = _interval(q, posterior.law[q], posterior.law_sd[q])
     return KeyboardLaw(
         unit=quantity.unit,
         scale=quantity.scale,
-        literature=None if name == "gain" else base,
-        value=quantity.unscaled(column.centre),
+        literature=None if NAMES[q] == "level" else quantity.unscaled(reference[q]),
+        value=quantity.unscaled(posterior.law[q]),
         low=low,
         high=high,
-        scatter=law.scatter,
-        length_keys=law.length,
-        outliers=tuple(midi_to_note(key.midi) for key, out in zip(keys, law.outlier, strict=True) if out),
+        scatter=shape.scatter,
+        length_keys=shape.length,
     )
 
 
-def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
-    """Return the output path at any key: a Gaussian process over octaves and keys, from the paths of the fitted keys.
-
-    A fitted key keeps its own path with all residuals. Other keys get only the smooth part.
-    """
-    points = [
-        (key.midi, *point) for key in keys if key.note.path is not None for point in _third_octave_means(key.note.path)
-    ]
-    if not points:
-        return lambda _: None
-    midi, octave, db, count = np.array(points).T
-
-    def covariance(m: np.ndarray, o: np.ndarray) -> np.ndarray:
-        near = np.exp(-0.5 * ((o[:, None] - octave) / OCTAVES) ** 2)
-        drift = np.exp(-0.5 * ((m[:, None] - midi) / DRIFT_KEYS) ** 2)
-        return near * (COMMON_DB**2 + DRIFT_DB**2 * drift)
-
-    weights = np.linalg.solve(covariance(midi, octave) + np.diag(ROUGH_DB**2 / count), db)
-    return lambda key: OutputPath(THIRDS, covariance(np.full(len(THIRDS), float(key)), np.log2(THIRDS)) @ weights)
+def _interval(q: int, y: Any, sd: Any) -> tuple[Any, Any]:
+    """Return the ends of the 95 % interval."""
+    unscaled = LAW_QUANTITIES[NAMES[q]].unscaled
+    return unscaled(y - HALF_WIDTH_95 * sd), unscaled(y + HALF_WIDTH_95 * sd)
 
 
-def _third_octave_means(path: OutputPath) -> np.ndarray:
-    """Mean octave, mean dB and number of points in each third of an octave [thirds, 3]."""
-    octave = np.log2(path.frequency)
-    _, cell, count = np.unique(np.floor(3 * octave), return_inverse=True, return_counts=True)
-    return np.stack([np.bincount(cell, octave) / count, np.bincount(cell, path.db) / count, count], axis=1)
+def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> dict[str, KeyValue]:
+    """Return the posterior of every quantity of one key, and what its own fit measured."""
+    numbers = [key.midi for key in keys]
+    j = numbers.index(midi) if midi in numbers else None
+    found = {}
+    for q, name in enumerate(NAMES):
+        unscaled = LAW_QUANTITIES[name].unscaled
+        value, sd = (float(x[midi - LOWEST_KEY]) for x in posterior.value_at(q, numbers, KEYS.tolist()))
+        own = None
+        if j is not None:
+            first = keys[j].measured.minima[0]
+            mean, own_sd = float(first.mean[q]), math.sqrt(first.covariance[q, q])
+            own = OwnFit(float(unscaled(mean)), _interval(q, mean, own_sd), float(posterior.z[q, j]))
+        law = float(unscaled(posterior.law[q, midi - LOWEST_KEY]))
+        found[name] = KeyValue(float(unscaled(value)), _interval(q, value, sd), law, own)
+    return found
 
 
-def _warnings(keys: Sequence[KeyFit], columns: dict[str, _Column]) -> list[str]:
+def _guess(midi: int, laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, like: Note) -> Note:
+    """Return the note of a key that was never recorded."""
+    values = {name: float(law.value[midi - LOWEST_KEY]) for name, law in laws.items()}
+    note = note_from_quantities(values, midi, like.quantity)
+    if fields is not None:
+        response = guess_response(note, midi, string_law(laws, midi), fields)
+        note = note._replace(path=guess_path(midi, fields), modal_response=response)
+    gain = 10 ** ((values["level"] - stroke_level(note)) / 20)
+    return note._replace(gain=math.copysign(gain, like.gain))
+
+
+def _warnings(keys: Sequence[KeyFit], posterior: KeyboardPosterior) -> list[str]:
     warnings = [
-        f"{midi_to_note(key.midi)}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} the "
-        f"prediction of the other keys; {'it is kept' if _keeps_fit(key, n) else 'the value of the law is used'}"
-        for n, column in columns.items()
-        for key, z, out in zip(keys, column.law.z, column.law.outlier, strict=True)
-        if out
+        f"{midi_to_note(key.midi)}: {name} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} the "
+        "prediction of the other keys"
+        for q, name in enumerate(NAMES)
+        for key, z in zip(keys, posterior.z[q], strict=True)
+        if abs(z) > NAMED_SD and len(keys) >= ENOUGH_KEYS
     ]
+    for key, shares in zip(keys, posterior.shares, strict=True):
+        best = int(np.argmax(shares))
+        if best and shares[best] > DECIDED:
+            warnings.append(
+                f"{midi_to_note(key.midi)}: the other keys agree with minimum {best + 1} of its fit "
+                f"({100 * shares[best]:.0f} %), and not with the first"
+            )
     unconverged = [midi_to_note(key.midi) for key in keys if not key.summary.converged]
     if unconverged:
         warnings.append(f"The fits of {', '.join(unconverged)} did not converge; their intervals are doubled.")
     if len(keys) < ENOUGH_KEYS:
         warnings.append(
             f"Only {counted(len(keys), 'key')} of this instrument {'are' if len(keys) > 1 else 'is'} "
-            "fitted. The shape of the laws comes from the literature, and outliers cannot be detected."
+            "fitted. The shape of the laws comes from the literature."
         )
     return warnings

@@ -11,32 +11,27 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
-from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, midi_of
+from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..felt import ALL_PARAMETERS, SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
-from ..io.number_format import log_half_width
-from ..literature import reference_compression
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import FIT_NAMES, Hammer
+from ..parameters import Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
-from ..schema.quantities import Quantity
-from .key_quantities import LAW_QUANTITIES, soft_hammer
+from .key_measurements import measurements_of
+from .key_quantities import LOUDEST_VELOCITY, soft_hammer
+from .keyboard_posterior import KeyMeasurements
 
-# Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
-LOUDEST_VELOCITY = 4.0
-# Factor on the intervals of a fit that did not converge.
-NONCONVERGED_FACTOR = 2.0
 # Number of lowest partials whose beating and decays are listed.
 LOWEST_PARTIALS = 4
 # Largest distance of a pitch from the key in the folder's name, semitones. Pianos may be out of tune.
@@ -51,7 +46,7 @@ class KeyFit:
 
     midi: int
     note: Note  # with gain and velocity of the loudest recording
-    sd: dict[str, float]  # standard deviations of the `LAW_QUANTITIES`: of logarithms, and of cents
+    measured: KeyMeasurements  # of the `LAW_QUANTITIES`
     summary: FitSummary
 
 
@@ -173,24 +168,40 @@ def _load_key(file: Path) -> KeyFit:
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
-    scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     # The law is in log μ, so a felt without loss gets the smallest allowed μ.
-    h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, ALL_PARAMETERS["mu"].lower))
-    scaled = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
-    hammer = soft_hammer(scaled._replace(skin=scaled.skin * scale) if isinstance(scaled, SoftHammer) else scaled)
-    response = None if note.modal_response is None else note.modal_response.scale_velocity(scale)
+    loss = max(note.hammer.mu, ALL_PARAMETERS["mu"].lower)
+    hammer = soft_hammer(note.hammer._replace(v_H0=float(velocities[-1]), mu=loss))
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(
         file=name,
         recordings=len(fit.recordings),
         levels_db=fit.levels.fitted_db,
         converged=fit.converged,
-        velocities=tuple((velocities * scale).tolist()),
-        layers=_layers(fit, scale),
-        partials=() if response is None else partial_decays(response),
+        velocities=tuple(velocities.tolist()),
+        layers=_layers(fit),
+        partials=() if note.modal_response is None else partial_decays(note.modal_response),
     )
-    scaled = note._replace(hammer=hammer, gain=gain / scale, path=path, modal_response=response)
-    return KeyFit(midi, scaled, _deviations(fit, note, midi, scale), summary)
+    scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
+    note, summary = _scaled(note._replace(hammer=hammer, gain=gain, path=path), summary, scale)
+    return KeyFit(midi, note, measurements_of(fit, note, midi), summary)
+
+
+def scale_key(key: KeyFit, scale: float) -> KeyFit:
+    """Return the fit of a key with all velocities times `scale`. The sound of its recordings stays the same."""
+    note, summary = _scaled(key.note, key.summary, scale)
+    return replace(key, note=note, summary=summary)
+
+
+def _scaled(note: Note, summary: FitSummary, scale: float) -> tuple[Note, FitSummary]:
+    h, response = soft_hammer(note.hammer), note.modal_response
+    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale, skin=h.skin * scale)
+    response = None if response is None else response.scale_velocity(scale)
+    layers = tuple(replace(layer, velocity=layer.velocity * scale) for layer in summary.layers)
+    velocities = tuple(velocity * scale for velocity in summary.velocities)
+    return (
+        note._replace(hammer=hammer, gain=note.gain / scale, modal_response=response),
+        replace(summary, velocities=velocities, layers=layers),
+    )
 
 
 def _midi(note: Note, file: Path) -> int:
@@ -203,11 +214,11 @@ def _midi(note: Note, file: Path) -> int:
     return midi
 
 
-def _layers(fit: Fit, scale: float) -> tuple[Layer, ...]:
-    """Return the recordings of a fit, soft to loud, with their velocities on the instrument's scale."""
+def _layers(fit: Fit) -> tuple[Layer, ...]:
+    """Return the recordings of a fit, soft to loud."""
     entries = () if fit.modal_response is None else fit.modal_response.layers
     delay = {entry.file: entry.contact_s for entry in entries}
-    layers = [Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), r.v_H0 * scale) for r in fit.recordings]
+    layers = [Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), r.v_H0) for r in fit.recordings]
     return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 
@@ -227,52 +238,3 @@ def partial_decays(response: ModalResponse) -> tuple[PartialEntry, ...]:
 def _finite(value: float) -> float | None:
     """Return None instead of NaN, which JSON does not have."""
     return None if math.isnan(value) else value
-
-
-def _deviations(fit: Fit, note: Note, midi: int, scale: float) -> dict[str, float]:
-    """Return standard deviations of the `LAW_QUANTITIES`, from the 95 % intervals."""
-    s = {name: _log_sd(fit.parameters.get(name)) for name in (*FIT_NAMES, "x0", "skin")}
-    sd = {
-        "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
-        "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
-        "b1": s["b1"],
-        "d2": s["b2"],
-        "M_H/M_S": s["M_H"],
-        "p": s["p"],
-        "mu": s["mu"],
-        "skin": s["skin"],
-        "x0/L": s["x0"],
-        "F/M_S": _felt_sd(s, fit, note, midi, scale),
-    }
-    factor = 1.0 if fit.converged else NONCONVERGED_FACTOR
-    own = {name: max(factor * x, 1e-4) for name, x in sd.items() if x is not None}
-    return {name: own.get(name, quantity.default_sd) for name, quantity in LAW_QUANTITIES.items()}
-
-
-def _log_sd(quantity: Quantity | None) -> float | None:
-    """Return the standard deviation of the logarithm of a quantity; None without an interval."""
-    half = None if quantity is None else log_half_width(quantity.interval)
-    return None if half is None else half / HALF_WIDTH_95
-
-
-def _felt_sd(s: dict[str, float | None], fit: Fit, note: Note, midi: int, scale: float) -> float | None:
-    """Return the standard deviation of log K(u_ref), with velocities on the scale of `LOUDEST_VELOCITY`.
-
-    The felt is determined best at compressions u that occur in the strokes, where its force has the error e. At u_ref
-
-        var log K(u_ref) = e² + ln²(u_ref/u) var p + 2 ln(u_ref/u) cov(log F, p).
-
-    The covariance follows from var log K_H. If that contains the common scale of the velocities, the covariance is 0,
-    since u is the compression at which force and exponent are uncorrelated.
-    """
-    force = fit.invariants.get("F/M_S")
-    error, sd_of_stiffness, sd_of_exponent = _log_sd(force), s["K_H"], s["p"]
-    if force is None or error is None or sd_of_stiffness is None or sd_of_exponent is None:
-        return sd_of_stiffness
-    log_u = math.log(1e-3 * fit.derived.reference_compression_mm)
-    p, covariance = sd_of_exponent * float(note.hammer.p), 0.0
-    if not fit.velocity_scale_open:
-        covariance = (error**2 + (log_u * p) ** 2 - sd_of_stiffness**2) / (2 * log_u)
-        covariance = float(np.clip(covariance, -error * p, error * p))
-    distance = math.log(reference_compression(midi)) - log_u - math.log(scale)
-    return math.sqrt(max(error**2 + (distance * p) ** 2 + 2 * distance * covariance, 1e-6))

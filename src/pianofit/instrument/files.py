@@ -26,8 +26,8 @@ from ..schema.instrument import (
 from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, load_keys
+from .guessed_keys import with_guessed_responses
 from .instrument import Instrument, Key
-from .interpolate_keys import with_interpolated_responses
 
 
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
@@ -68,12 +68,12 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
         )
     record, name = read_instrument_file(file), printable(file)
     keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
-    keys = with_interpolated_responses(keys)
+    keys = with_guessed_responses(keys, record.laws)
     return Instrument(printable(record.name), keys, record.velocity, record.laws, record.warnings)
 
 
 def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
-    """Return the key of an entry, without an interpolated modal response. Its values are checked."""
+    """Return the key of an entry, without a guessed modal response. Its values are checked."""
     string, geometry = vars(entry.string), Geometry(**vars(entry.geometry))
     felt = vars(entry.hammer) | {"v_H0": 2.0}  # each stroke sets its own velocity
     hammer = make_hammer(felt if entry.hammer.skin else {name: felt[name] for name in HAMMER_NAMES})
@@ -93,7 +93,7 @@ def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
         None if entry.path is None else entry.path.output_path,
         response.response(None, where) if isinstance(response, ModalResponseEntry) else None,
     )
-    return Key(note, entry.state, entry.values, entry.fit, entry.changes, response == "neighbours")
+    return Key(note, entry.state, entry.values, entry.fit, entry.changes, response == "guess")
 
 
 def instrument_record(instrument: Instrument) -> InstrumentFile:
@@ -112,8 +112,8 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
 def _entry(midi: int, key: Key) -> KeyEntry:
     hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
     skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
-    modal_response = "neighbours" if key.is_interpolated else None
-    if response is not None and not key.is_interpolated:
+    modal_response = "guess" if key.is_guessed else None
+    if response is not None and not key.is_guessed:
         modal_response = ModalResponseEntry.of(response, embed_knock=True)
     return KeyEntry(
         midi=midi,

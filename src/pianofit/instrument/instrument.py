@@ -13,9 +13,7 @@ from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, Vel
 
 # States of a key, and what they mean.
 KEY_STATES: dict[KeyState, str] = {
-    "fitted": "values of its own fit",
-    "pulled": "own fit combined with its neighbours, because some values were uncertain",
-    "outlier": "disagrees with its neighbours in the listed parameters; the interpolated values are used",
+    "recorded": "played as it was fitted",
     "interpolated": "never recorded, between recorded keys",
     "extrapolated": "never recorded, beyond the recorded keys",
     "changed": "changed by hand on the page to play",
@@ -33,7 +31,7 @@ class Key:
     values : values with 95 % intervals by name of the law.
     fit : the fit of a recorded key.
     changes : changes by slider of the page to play.
-    is_interpolated : whether the modal response of the note follows from the nearest recorded keys.
+    is_guessed : whether the note follows from the laws and the other keys.
     """
 
     note: Note
@@ -41,7 +39,7 @@ class Key:
     values: Mapping[str, KeyValue] = field(default_factory=dict)
     fit: FitSummary | None = None
     changes: Mapping[str, float] | None = None
-    is_interpolated: bool = False
+    is_guessed: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +52,7 @@ class Instrument:
     keys : keys by MIDI number.
     velocity : hammer velocity over MIDI velocity.
     laws : keyboard laws by name.
-    warnings : limitations, such as outliers.
+    warnings : limitations.
 
     Examples
     --------
@@ -156,11 +154,11 @@ class Instrument:
             f"{self.name or 'instrument'}: {counted(len(self.recorded), 'key')} recorded: "
             + ", ".join(f"{count} {state}" for state, count in self.state_counts.items()),
             "",
-            f"{'':26}{'key scatter':>14}{'smooth over':>12}   outliers",
+            f"{'':26}{'key scatter':>14}{'smooth over':>12}",
         ]
         for name, law in self.laws.items():
             label = f"{'tuning' if name == 'cents' else name}{f', {law.unit}' if law.unit not in ('', '1') else ''}"
-            scatter = f"{law.scatter:.2g} cents" if law.scale == "linear" else f"{100 * law.scatter:.2g} %"
-            lines.append(f"{label:26}{scatter:>14}{law.length_keys:>7.0f} keys   {', '.join(law.outliers) or '-'}")
+            scatter = f"{law.scatter:.2g} {law.unit}" if law.scale == "linear" else f"{100 * law.scatter:.2g} %"
+            lines.append(f"{label:26}{scatter:>14}{law.length_keys:>7.0f} keys")
         lines += ["", f"MIDI velocity 64 is {self.velocity.at_64:.3g} m/s, from: {self.velocity.source}"]
         return "\n".join([*lines, *self.warnings])

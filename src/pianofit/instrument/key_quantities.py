@@ -13,12 +13,13 @@ from typing import Any, Literal
 import numpy as np
 
 from ..conversions import hertz_of, midi_of
+from ..dsp.loudness import k_weighted_mean_square
 from ..felt import ALL_PARAMETERS, SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
-from ..literature import PICKUP, TYPICAL_VELOCITY, reference_compression, typical
+from ..literature import PICKUP, reference_compression, typical
 from ..model.note import Note
 from ..parameters import HAMMER_NAMES, Geometry, String
-from .laws import Prior
+from .keyboard_posterior import Prior
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,6 @@ class LawQuantity:
     unit: str
     prior: Prior  # of an instrument from the literature. Chosen once, after the spreads of initial values.
     default_sd: float = 0.1  # of a value without an interval; small for given values
-    # A key keeps the value of its fit: it is given, or a recording determines it much better than a law.
-    keeps_fit: bool = False
     scale: Literal["linear", "log"] = "log"  # on which the law is smooth
 
     def scaled(self, values: Any) -> np.ndarray:
@@ -43,26 +42,47 @@ class LawQuantity:
 
 
 LAW_QUANTITIES = {
-    "cents": LawQuantity(
-        "tuning: f₀ relative to equal temperament", "cents", Prior(20.0, 15.0, 10.0), 3.0, True, "linear"
-    ),
+    "cents": LawQuantity("tuning: f₀ relative to equal temperament", "cents", Prior(20.0, 15.0, 10.0), 3.0, "linear"),
     "B": LawQuantity("inharmonicity B", "1", Prior(0.7, 0.5, 0.5)),
     "b1": LawQuantity("loss parameter b₁, the same for all partials", "1/s", Prior(0.7, 0.5, 0.6)),
     "d2": LawQuantity("loss d₂ = b₂π²/L², growing with k²", "1/s", Prior(1.0, 0.7, 0.8)),
     "M_H/M_S": LawQuantity("hammer mass over string mass M_H/M_S", "1", Prior(0.6, 0.4, 0.5)),
-    "F/M_S": LawQuantity("felt force at the reference compression over string mass", "N/kg", Prior(1.5, 1.0, 1.0)),
-    "p": LawQuantity("felt exponent p", "1", Prior(0.2, 0.1, 0.15)),
+    "F/M_S": LawQuantity("felt force over string mass where strokes press", "N/kg", Prior(1.5, 1.0, 1.0)),
+    "local_exponent": LawQuantity("exponent of the felt force where strokes press", "1", Prior(0.2, 0.1, 0.15)),
     "mu": LawQuantity("felt loss coefficient μ", "s/m", Prior(1.2, 0.5, 0.8)),
     "skin": LawQuantity("thickness of the felt's soft skin", "m", Prior(1.5, 0.7, 1.0)),
     "x0/L": LawQuantity("strike position x₀/L", "1", Prior(0.2, 0.2, 0.2), 1e-2),
     "width/L": LawQuantity("width of the contact window over L", "1", Prior(0.3, 0.3, 0.3), 0.3),
-    "L": LawQuantity("string length L", "m", Prior(0.3, 0.3, 0.2), 1e-3, True),
-    "M_S/L": LawQuantity("string mass per metre M_S/L", "kg/m", Prior(0.5, 0.3, 0.3), 1e-3, True),
-    "pickup/L": LawQuantity("pickup position x_m/L", "1", Prior(0.5, 0.3, 0.2), 1e-3, True),
-    "gain": LawQuantity(
-        "gain of the loudest recording (times M_S for bridge force and pressure)", "", Prior(3.0, 1.5, 1.0)
-    ),
+    "L": LawQuantity("string length L", "m", Prior(0.3, 0.3, 0.2), 1e-3),
+    "M_S/L": LawQuantity("string mass per metre M_S/L", "kg/m", Prior(0.5, 0.3, 0.3), 1e-3),
+    "pickup/L": LawQuantity("pickup position x_m/L", "1", Prior(0.5, 0.3, 0.2), 1e-3),
+    "level": LawQuantity("level of a stroke at 4 m/s", "dB", Prior(60.0, 6.0, 4.0, 1.5), 0.3, "linear"),
 }
+
+# Velocity of the strokes whose level has a law, m/s: a fortissimo. An instrument sets the loudest recording of every
+# uncalibrated key to it, before the keyboard tells more.
+LOUDEST_VELOCITY = 4.0
+# Compression at which the laws state force and exponent, over the reference compression of the key. A stroke at 4 m/s
+# reaches 2 to 5 times that. With a skin, force and exponent at the reference compression itself depend on the skin.
+PRESSED = 4.0
+# Duration and rate of the sound that the level describes, s and Hz.
+LEVEL_SECONDS, LEVEL_RATE = 1.0, 44_100
+
+
+def law_compression(midi: float) -> float:
+    """Return the compression, m, at which the laws state felt force and exponent."""
+    return PRESSED * reference_compression(midi)
+
+
+def skin_share(u: float, skin: float) -> float:
+    """Return s/(u + s), by which a skin s raises the exponent of the force at the compression u: p (1 + s/(u + s))."""
+    return skin / (u + skin)
+
+
+def stroke_level(note: Note, velocity: float = LOUDEST_VELOCITY) -> float:
+    """Return the K-weighted level of the first second of a stroke (ITU-R BS.1770), dB re full scale."""
+    sound = note.render(velocity, seconds=LEVEL_SECONDS, rate=LEVEL_RATE, mono=False)
+    return 10 * math.log10(max(k_weighted_mean_square(sound, LEVEL_RATE), 1e-30))
 
 
 def is_force(quantity: str) -> bool:
@@ -83,19 +103,19 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
     """Return the `LAW_QUANTITIES` of a note.
 
     They are the deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s),
-    ratios to string mass and length, the felt force at the `reference_compression` over the string mass (N/kg), p, μ
-    (s/m), and the gain, times M_S for bridge force and pressure.
+    ratios to string mass and length, felt force over string mass (N/kg) and local exponent at the `law_compression`,
+    and μ (s/m). The level is left out: `stroke_level` renders it.
     """
     s, g = note.string, note.geometry
-    h = soft_hammer(note.hammer)
+    h, u = soft_hammer(note.hammer), law_compression(midi)
     return {
         "cents": 100 * (midi_of(note.f0) - midi),
         "B": note.B,
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
         "M_H/M_S": h.M_H / g.mass,
-        "F/M_S": SOFT_SKIN.force(reference_compression(midi), 0.0, h) / g.mass,
-        "p": h.p,
+        "F/M_S": SOFT_SKIN.force(u, 0.0, h) / g.mass,
+        "local_exponent": h.p * (1 + skin_share(u, h.skin)),
         "mu": h.mu,
         "skin": h.skin,
         "x0/L": g.strike_position / g.length,
@@ -103,12 +123,11 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
         "L": g.length,
         "M_S/L": g.mass / g.length,
         "pickup/L": g.pickup / g.length,
-        "gain": abs(note.gain) * (g.mass if is_force(note.quantity) else 1.0),
     }
 
 
 def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note:
-    """Return the note with these `LAW_QUANTITIES`, clipped to their ranges, struck at `TYPICAL_VELOCITY`."""
+    """Return the note with these `LAW_QUANTITIES` and a gain of 1, clipped to their ranges, struck at 4 m/s."""
     length = at["L"]
     mass = at["M_S/L"] * length
     c = 2 * length * hertz_of(midi + at["cents"] / 100)
@@ -119,19 +138,20 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
         "b1": at["b1"],
         "b2": at["d2"] * (length / math.pi) ** 2,
     }
+    u = law_compression(midi)
+    p = at["local_exponent"] / (1 + skin_share(u, at["skin"]))
     hammer = {
-        "K_H": at["F/M_S"] * mass / SOFT_SKIN.power_base(reference_compression(midi), at) ** at["p"],
+        "K_H": at["F/M_S"] * mass / SOFT_SKIN.power_base(u, at) ** p,
         "skin": at["skin"],
         "mu": at["mu"],
-        "p": at["p"],
+        "p": p,
         "M_H": at["M_H/M_S"] * mass,
-        "v_H0": TYPICAL_VELOCITY,
+        "v_H0": LOUDEST_VELOCITY,
     }
     # The contact window stays on the string.
     width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
     geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
-    gain = at["gain"] / (mass if is_force(quantity) else 1.0)
-    return Note(String(**_clipped(string)), SoftHammer(**_clipped(hammer)), geometry, quantity, gain)
+    return Note(String(**_clipped(string)), SoftHammer(**_clipped(hammer)), geometry, quantity, 1.0)
 
 
 def _clipped(values: dict[str, float]) -> dict[str, float]:
@@ -139,7 +159,7 @@ def _clipped(values: dict[str, float]) -> dict[str, float]:
 
 
 def literature(midi: int) -> dict[str, float]:
-    """Return the `LAW_QUANTITIES` of the literature's key. Its gain is arbitrary."""
+    """Return the `LAW_QUANTITIES` of the literature's key, without the level."""
     it = typical(midi)
     width = min(it.geometry.width, 0.1 * it.geometry.length)
     geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)

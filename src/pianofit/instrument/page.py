@@ -1,7 +1,7 @@
 """HTML page of an instrument: every parameter over the keyboard with the literature's values, and a table of all keys.
 
 It runs no script. Its figures have the colours and line styles of the report: those of initial values for the
-literature, and those of fits for the law. An outlier is a cross with its name.
+literature, and those of fits for the law.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from .. import __version__
 from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.number_format import number
-from ..literature import reference_compression
 from ..report import html
-from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
+from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from ..schema.instrument import PartialEntry
-from .collect_fits import LOUDEST_VELOCITY
 from .instrument import KEY_STATES, Instrument, Key
-from .key_quantities import LAW_QUANTITIES
-from .laws import OUTLIER_SD
+from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +29,11 @@ if TYPE_CHECKING:
 
 CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
 MARKERS = "osD^"
+# Deviation of a fit from the prediction of the other keys from which the table names it, standard deviations.
+NAMED_Z = 2.0
 FIGURES = {
     "string": ("cents", "B", "b1", "d2"),
-    "hammer": ("M_H/M_S", "F/M_S", "p", "mu", "skin"),
+    "hammer": ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin"),
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
 DECAYS = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}
@@ -61,17 +60,16 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
         figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
         rows=[_row(midi, key) for midi, key in instrument.keys.items()],
-        outlying=f"{OUTLIER_SD:g}",
         loudest=f"{LOUDEST_VELOCITY:g}",
-        u_low=1e3 * reference_compression(LOWEST_KEY),
-        u_high=1e3 * reference_compression(HIGHEST_KEY),
+        u_low=1e3 * law_compression(LOWEST_KEY),
+        u_high=1e3 * law_compression(HIGHEST_KEY),
         version=__version__,
     )
 
 
 def _row(midi: int, key: Key) -> dict[str, Any]:
     s, h, g, fit = key.note.string, key.note.hammer, key.note.geometry, key.fit
-    u, force = 1e3 * reference_compression(midi), key.values["F/M_S"].value
+    u, force = 1e3 * law_compression(midi), key.values["F/M_S"].value
     rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, u, force * g.mass, force, h.K_H]
     cells = [
         f"{key.note.f0:.2f}",
@@ -81,15 +79,12 @@ def _row(midi: int, key: Key) -> dict[str, Any]:
         str(fit.recordings) if fit else "–",
         f"{fit.levels_db:.2f}" if fit and fit.levels_db is not None else "–",
     ]
-    changed = []
-    for name, value in key.values.items():
-        if value.own_fit and value.own_fit.state != "fitted":
-            changed.append(f"{name} (outlier)" if value.own_fit.state == "outlier" else name)
+    moved = [f"{name} {x.own_fit.z:+.1f}" for name, x in key.values.items() if x.own_fit and abs(x.own_fit.z) > NAMED_Z]
     return {
         "note": midi_to_note(midi),
         "state": key.state,
         "cells": cells,
-        "changed": ", ".join(changed),
+        "moved": ", ".join(moved),
         "is_recorded": fit is not None,
     }
 
@@ -99,7 +94,7 @@ def _draw(instrument: Instrument) -> dict[str, list[bytes]]:
     with page_style():
         figures = {name: [_law_panel(instrument, law) for law in names] for name, names in FIGURES.items()}
         others = [make_figure(draw, instrument) for draw in (_paths, _velocities, _residuals)]
-        figures["sound"] = [_law_panel(instrument, "gain"), *others]
+        figures["sound"] = [_law_panel(instrument, "level"), *others]
         fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
         partials = [(midi, partial) for midi, fit in fits for partial in fit.partials]
         if partials:
@@ -119,21 +114,18 @@ def _law(axes: Axes, instrument: Instrument, name: str) -> None:
         axes.plot(x, law.literature, color=INITIAL, ls=(0, (4, 1.6)), lw=1.2, label="literature")
     axes.fill_between(x, law.low, law.high, color=BAND, lw=0, label="95 % of the law")
     axes.plot(x, law.value, color=FITTED, lw=1.5, label="law")
-    axes.plot([*values], [value.value for value in values.values()], ".", ms=3, color=FITTED, label="used for playing")
+    axes.plot(
+        [*values], [value.value for value in values.values()], ".", ms=3, color=FITTED, label="posterior of the key"
+    )
     fits = {midi: value.own_fit for midi, value in values.items() if value.own_fit}
     fitted = np.array([fit.value for fit in fits.values()])
     low, high = np.array([fit.interval for fit in fits.values()]).T
     bars = np.maximum([fitted - low, high - fitted], 0.0)
     label = "fit of the key"
     axes.errorbar([*fits], fitted, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label=label, zorder=4)
-    for midi, fit in fits.items():
-        if fit.state == "outlier":
-            at = (midi, fit.value)
-            axes.plot(*at, "x", ms=9, mew=2, color=WRONG, zorder=5)
-            axes.annotate(midi_to_note(midi), at, (6, 4), textcoords="offset points", color=WRONG)
     axes.set_title(quantity.title + (f" ({quantity.unit})" if quantity.unit not in ("", "1") else ""))
     _keyboard(axes)
-    if name not in ("cents", "p"):
+    if quantity.scale == "log" and name != "local_exponent":
         _log(axes, [*law.low, *law.high, *fitted, *([] if law.literature is None else law.literature)])
 
 

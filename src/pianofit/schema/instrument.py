@@ -22,7 +22,7 @@ from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
 INSTRUMENT_FILE = "instrument.json"
-INSTRUMENT_SCHEMA = 5
+INSTRUMENT_SCHEMA = 6
 # Largest instrument.json, bytes.
 LARGEST_INSTRUMENT = 2**25
 HINT = "give the instrument.json that pianofit instrument wrote"
@@ -33,10 +33,8 @@ Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
 # Longest recording in a file, s.
 ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
 KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
-# How the value of a law was made from the fit of a recorded key.
-ValueState = Literal["fitted", "pulled", "outlier"]
 # The state of a key. The values of a changed key were set by hand on the page to play.
-KeyState = Literal["fitted", "pulled", "outlier", "interpolated", "extrapolated", "changed"]
+KeyState = Literal["recorded", "interpolated", "extrapolated", "changed"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,6 @@ class KeyboardLaw:
     high: np.ndarray
     scatter: Number  # standard deviation of single keys on the scale of the law
     length_keys: Number  # over which the law is smooth
-    outliers: tuple[str, ...]  # names of keys
 
     def __post_init__(self) -> None:
         rows = [self.value, self.low, self.high, *([] if self.literature is None else [self.literature])]
@@ -80,7 +77,6 @@ class OwnFit:
 
     value: Number
     interval: tuple[Number, Number]  # 95 %
-    state: ValueState
     z: Number  # deviation from the prediction of all other keys, in standard deviations
 
 
@@ -170,8 +166,8 @@ class KeyEntry:
     geometry: GeometryEntry
     gain: Gain
     path: PathEntry | None = None
-    # `neighbours` if the response follows from the nearest recorded keys.
-    modal_response: ModalResponseEntry | Literal["neighbours"] | None = None
+    # `guess` if the response follows from the laws and the recorded keys.
+    modal_response: ModalResponseEntry | Literal["guess"] | None = None
     values: dict[str, KeyValue] = field(default_factory=dict)  # by name of the law
     changes: dict[str, Number] | None = None  # by slider of the page: factors, and a difference of p
     fit: FitSummary | None = None  # of a recorded key

@@ -1,0 +1,113 @@
+"""Smooth functions of frequency and key: what soundboard, room and microphones do to the partials of all keys.
+
+A quantity of a partial, such as its level beyond the string model, is
+
+    u(f, n) = mean + common(log f) + trend(n) + drift(log f, n) + residual
+
+All keys share `common`, because they share one soundboard. `trend` changes slowly from bass to treble. Neighbouring
+keys, which stand on neighbouring places of the bridge, share `drift` at one absolute frequency. All three are Gaussian
+processes; the residual is white. Every prediction is
+a sum of measured values with weights that follow from the covariance alone. So the same weights serve levels in all
+channels, decay curves and phases. Far from all measured points a prediction returns to the mean, without an edge.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+# Priors of the spreads, lengths over frequency and length over keys: medians and standard deviation of the logarithm.
+# Spreads are relative to that of the measured values. All are wide: what the keys of an instrument share is measured.
+MEDIANS = {
+    "common_sd": 0.5, "common_octaves": 0.7, "trend_sd": 0.5, "trend_keys": 20.0,
+    "drift_sd": 0.5, "drift_octaves": 0.5, "drift_keys": 6.0, "residual": 0.5,
+}  # fmt: skip
+FACTOR = 0.6
+SPREADS = ("common_sd", "trend_sd", "drift_sd", "residual")
+# Most points from which spreads and lengths are estimated. All points take part in predictions.
+MOST_POINTS = 500
+# Share of the variance added to the diagonal: rounding.
+JITTER = 1e-8
+# Smallest standard deviation of the measured values: a constant needs no law.
+LEAST_SD = 1e-6
+
+
+class FieldPoints(NamedTuple):
+    """Points at which a field was measured."""
+
+    octave: np.ndarray  # log2 of the frequency [points]
+    key: np.ndarray  # MIDI number [points]
+    size: np.ndarray  # number of partials that a point is the mean of [points]
+
+
+class FieldShape(NamedTuple):
+    """Spreads and lengths of a field."""
+
+    common_sd: float
+    common_octaves: float
+    trend_sd: float
+    trend_keys: float
+    drift_sd: float
+    drift_octaves: float
+    drift_keys: float
+    residual: float
+
+    def covariance(self, a: FieldPoints, b: FieldPoints) -> np.ndarray:
+        """Covariance of the smooth part between points."""
+        octaves, keys = a.octave[:, None] - b.octave, a.key[:, None] - b.key
+        common = self.common_sd**2 * np.exp(-0.5 * (octaves / self.common_octaves) ** 2)
+        trend = self.trend_sd**2 * np.exp(-0.5 * (keys / self.trend_keys) ** 2)
+        near = np.exp(-0.5 * (octaves / self.drift_octaves) ** 2 - 0.5 * (keys / self.drift_keys) ** 2)
+        return common + trend + self.drift_sd**2 * near
+
+    def weights(self, points: FieldPoints, at: FieldPoints) -> np.ndarray:
+        """Weights of the measured values, after their mean was subtracted, in the prediction [at, points]."""
+        total = self.covariance(points, points)
+        total[np.diag_indices(len(total))] += self.residual**2 / points.size + JITTER * total[0, 0]
+        return np.linalg.solve(total, self.covariance(at, points).T).T
+
+
+def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
+    """Estimate the most probable spreads and lengths of a field from measured values [points]."""
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).round().astype(int))
+    points = FieldPoints(*(column[chosen] for column in points))
+    y = values[chosen] - np.average(values[chosen], weights=points.size)
+    scale = max(float(y.std()), LEAST_SD)
+    y = y / scale
+    octaves = (points.octave[:, None] - points.octave) ** 2
+    keys = (points.key[:, None] - points.key) ** 2
+    centre = np.log(list(MEDIANS.values()))
+
+    def cost(log_shape: np.ndarray) -> tuple[float, np.ndarray]:
+        shape = FieldShape(*np.exp(log_shape))
+        common = shape.common_sd**2 * np.exp(-0.5 * octaves / shape.common_octaves**2)
+        trend = shape.trend_sd**2 * np.exp(-0.5 * keys / shape.trend_keys**2)
+        drift = shape.drift_sd**2 * np.exp(-0.5 * octaves / shape.drift_octaves**2 - 0.5 * keys / shape.drift_keys**2)
+        total = common + trend + drift
+        total[np.diag_indices(len(total))] += shape.residual**2 / points.size + JITTER
+        lower = np.linalg.cholesky(total)
+        root = np.linalg.inv(lower)
+        solved = root.T @ (root @ y)
+        block = np.outer(solved, solved) - root.T @ root
+        gradient = np.array(
+            [
+                np.sum(block * common),
+                0.5 * np.sum(block * common * octaves) / shape.common_octaves**2,
+                np.sum(block * trend),
+                0.5 * np.sum(block * trend * keys) / shape.trend_keys**2,
+                np.sum(block * drift),
+                0.5 * np.sum(block * drift * octaves) / shape.drift_octaves**2,
+                0.5 * np.sum(block * drift * keys) / shape.drift_keys**2,
+                np.sum(np.diag(block) * shape.residual**2 / points.size),
+            ]
+        )
+        away = (log_shape - centre) / FACTOR
+        density = -0.5 * y @ solved - np.log(np.diag(lower)).sum() - 0.5 * away @ away
+        return -float(density), away / FACTOR - gradient
+
+    bounds = [(c - 4 * FACTOR, c + 4 * FACTOR) for c in centre]
+    found = minimize(cost, centre, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
+    shape = FieldShape(*np.exp(found.x))
+    return shape._replace(**{name: scale * getattr(shape, name) for name in SPREADS})

@@ -1,0 +1,171 @@
+"""Modal responses of keys that were never recorded, from the fields of the recorded keys and the keyboard laws.
+
+A key that was never recorded takes the predictions of the fields (`measured_fields`) at its own partials:
+
+    frequency   of the string model
+    level       of the string model, struck by the hammer of the laws, plus the predicted level
+    decay       the predicted decay curve, dB over time in units of the decay of the laws. It is a sum of exponentials
+                with positive amplitudes: it keeps prompt sound and aftersound, without beats of single partials
+    channels    phases and differences of channels as predicted, where neighbouring partials and keys agree; the rest is
+                drawn
+
+Its knock is that of `guessed_knocks`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ..conversions import HALF_WIDTH_95, LOWEST_KEY
+from ..dsp.level import level_energy
+from ..model.modal_response import ModalResponse, VelocityGain
+from ..model.note import Note
+from ..model.output_path import OutputPath
+from ..schema.instrument import KeyboardLaw
+from .fields import FieldPoints
+from .guessed_knocks import guess_knock, static_part
+from .instrument import Key
+from .key_quantities import key_quantities, note_from_quantities
+from .measured_fields import (
+    TIMES,
+    VELOCITIES,
+    KeyFields,
+    Partials,
+    RecordedKey,
+    StringLaw,
+    measure_fields,
+    string_partials,
+)
+
+# Quantities of the hammer, which the laws replace in a recorded key.
+HAMMER = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
+# Decay rates of the exponentials, over that of the laws.
+RATIOS = np.geomspace(0.02, 200, 21)
+# Curves are compared down to this level below their start, dB. Exponentials below this amplitude ratio are discarded.
+DOWN = 60.0
+LEAST = 1e-5
+# Fewest partials of a guessed key.
+FEWEST_PARTIALS = 3
+# Partials of a guessed key end half a semitone above the highest partials of the recorded keys.
+MARGIN_OCTAVES = 0.5 / 12
+# Frequencies at which the path of a guessed key is stated, Hz: thirds of octaves.
+THIRDS = 20.0 * 2 ** (np.arange(31) / 3)
+# Seed of the drawn phases. Every key has its own sequence.
+SEED = 0
+
+
+def string_law(laws: Mapping[str, KeyboardLaw], midi: int) -> StringLaw:
+    """Return the values of the keyboard laws for the string of a key."""
+    i, strike = midi - LOWEST_KEY, laws["x0/L"]
+    sd = math.log(float(strike.high[i] / strike.low[i])) / (2 * HALF_WIDTH_95)
+    return StringLaw(float(laws["b1"].value[i]), float(laws["d2"].value[i]), math.hypot(sd, strike.scatter))
+
+
+def fields_of(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> KeyFields | None:
+    """Return the fields of the recorded keys; None if none has a modal response."""
+    recorded = [
+        _recorded(midi, key, response, laws)
+        for midi, key in sorted(keys.items())
+        if laws and key.fit is not None and (response := key.note.modal_response) is not None
+    ]
+    return measure_fields(recorded)
+
+
+def _recorded(midi: int, key: Key, response: ModalResponse, laws: Mapping[str, KeyboardLaw]) -> RecordedKey:
+    hammer = {name: float(laws[name].value[midi - LOWEST_KEY]) for name in HAMMER}
+    struck = note_from_quantities(key_quantities(key.note, midi) | hammer, midi, key.note.quantity)
+    velocities = key.fit.velocities if key.fit and key.fit.velocities else (float(key.note.hammer.v_H0),)
+    law_note = key.note._replace(hammer=struck.hammer)
+    return RecordedKey(midi, key.note, response, law_note, string_law(laws, midi), tuple(map(float, velocities)))
+
+
+def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> dict[int, Key]:
+    """Return all keys; those that are guessed get their modal responses, which files do not hold."""
+    fields = fields_of(keys, laws)
+    if fields is None:
+        return dict(keys)
+
+    def with_response(midi: int, key: Key) -> Key:
+        response = guess_response(key.note, midi, string_law(laws, midi), fields)
+        return replace(key, note=key.note._replace(modal_response=response))
+
+    return {midi: with_response(midi, key) if key.is_guessed else key for midi, key in keys.items()}
+
+
+def guess_path(midi: int, fields: KeyFields) -> OutputPath:
+    """Return the smooth output path of a key, for a gain of 1."""
+    at = _points(np.log2(THIRDS), midi)
+    weights = fields.level_shape.weights(fields.cells.points, at)
+    return OutputPath(THIRDS, fields.predict(weights, fields.cells.level))
+
+
+def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> ModalResponse:
+    """Return the modal response of a key, for a gain of 1.
+
+    Parameters
+    ----------
+    note : string and geometry of the key by the laws.
+    law : values of the laws for its string.
+    """
+    string = _audible_partials(note, midi, law, fields)
+    rate = law.decay(np.arange(1, len(string.frequency) + 1))
+    at, cells = _points(np.log2(string.frequency), midi), fields.cells
+    weights = fields.level_shape.weights(cells.points, at)
+    curves = fields.predict(fields.curve_shape.weights(cells.points, at), cells.curve)
+    share = np.stack([_exponentials(curve) for curve in curves])
+    energy = np.einsum("ki,kij,kj->k", share, level_energy(rate[:, None, None] * (RATIOS[:, None] + RATIOS)), share)
+    size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)
+    size *= 10 ** (fields.predict(weights, cells.level) / 20)
+    channels = size[:, None] * _draw_channels(weights, fields, np.random.default_rng([SEED, midi]))
+    i, j = np.nonzero(share)
+    pole = -RATIOS[j] * rate[i] + 2j * np.pi * string.frequency[i]
+    pattern = (channels[i] * share[i, j, None]).T
+    gain = VelocityGain(VELOCITIES, 10 ** (fields.predict(weights, cells.change)[i].T / 20) + 0j)
+    empty = np.zeros((len(pattern), 0))
+    response = ModalResponse(i + 1, pole, np.zeros(len(pole)), pattern, empty, fields.rate, gain)
+    # A knock cancels the static deflection of the modes, as it does for recorded keys.
+    knock = static_part(response)
+    return response._replace(knock=knock if fields.knocks is None else knock + guess_knock(fields.knocks, midi))
+
+
+def _points(octave: np.ndarray, midi: int) -> FieldPoints:
+    return FieldPoints(octave, np.full(len(octave), float(midi)), np.ones(len(octave)))
+
+
+def _audible_partials(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> Partials:
+    """Partials up to the highest frequency that the recorded keys on both sides have."""
+    string = string_partials(note, law.strike_sd)
+    top = 2 ** (np.interp(midi, fields.keys, np.log2(fields.highest)) + MARGIN_OCTAVES)
+    count = max(int(np.searchsorted(string.frequency, top)), FEWEST_PARTIALS)
+    return Partials(string.frequency[:count], string.impulse[:count])
+
+
+def _draw_channels(weights: np.ndarray, fields: KeyFields, random: np.random.Generator) -> np.ndarray:
+    """Draw the phasors of the channels, with a mean over the channels of magnitude 1 [at, channels]."""
+    cells = fields.cells
+    shape = (len(weights), cells.side.shape[1])
+    phase = weights @ cells.phasor
+    free = np.sqrt(np.maximum(1 - np.abs(phase) ** 2, 0.0))
+    phase = np.exp(1j * np.angle(phase + free * _complex_normal(random, shape[:1])))
+    side = fields.predict(weights, cells.side) - 1
+    missing = np.maximum(fields.predict(weights, cells.side_power) - (np.abs(side) ** 2).mean(axis=1), 0.0)
+    side = side + np.sqrt(missing)[:, None] * _complex_normal(random, shape)
+    return phase[:, None] * (1 + side - side.mean(axis=1, keepdims=True))
+
+
+def _complex_normal(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return (random.normal(size=shape) + 1j * random.normal(size=shape)) / np.sqrt(2)
+
+
+def _exponentials(curve: np.ndarray) -> np.ndarray:
+    """Non-negative amplitudes [ratios] of exponentials that fit a curve, dB [times], with least relative error."""
+    used = curve > curve[0] - DOWN
+    amplitude = 10 ** (curve[used] / 20)
+    parts = np.exp(-np.outer(TIMES[used], RATIOS)) / amplitude[:, None]
+    found, _ = nnls(parts, np.ones(len(amplitude)), maxiter=100 * len(RATIOS))
+    return np.where(found > LEAST * found.max(), found, 0.0)

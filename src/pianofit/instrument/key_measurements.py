@@ -1,0 +1,150 @@
+"""What the fit of a key measured of the quantities that have keyboard laws: means and joint covariances.
+
+The covariance of a fit is that of logarithms of parameters and velocities. All law quantities but the level are
+logarithms of products of powers of these, so their covariance is J C Jᵀ with a matrix J of exponents.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..felt import ALL_PARAMETERS
+from ..felt.soft_skin import SOFT_SKIN
+from ..model.note import Note
+from ..parameters import STRING_NAMES
+from ..schema.fit import Fit, Minimum
+from ..schema.quantities import Covariance
+from .key_quantities import (
+    LAW_QUANTITIES,
+    LOUDEST_VELOCITY,
+    key_quantities,
+    law_compression,
+    skin_share,
+    soft_hammer,
+    stroke_level,
+)
+from .keyboard_posterior import KeyMeasurements, Measurement
+
+# Factor on the standard deviations of a fit that did not converge.
+NONCONVERGED_FACTOR = 2.0
+# Change of log velocity over which the slope of the level is taken.
+LEVEL_STEP = 0.1
+# Cents per unit of the logarithm of a frequency.
+CENTS = 1200 / math.log(2)
+# A variance below this is that of a given value.
+GIVEN = 1e-12
+
+
+def measurements_of(fit: Fit, note: Note, midi: int) -> KeyMeasurements:
+    """Return the measurements of a key.
+
+    Parameters
+    ----------
+    fit : content of its `fit.json`.
+    note : its note on the velocity scale of the instrument.
+    midi : number of the key.
+    """
+    level = stroke_level(note)
+    minima = tuple(_measurement(fit, note, midi, minimum, level) for minimum in fit.minima)
+    if not minima:
+        mean = _scaled(key_quantities(note, midi), level)
+        minima = (Measurement(1.0, mean, np.diag(_default_variances())),)
+    direction = _scale_direction(note, midi, level) if fit.velocity_scale_open else np.zeros(len(LAW_QUANTITIES))
+    return KeyMeasurements(midi, minima, direction)
+
+
+def _scaled(values: Mapping[str, float], level: float) -> np.ndarray:
+    """Quantities on the scales of their laws [quantities]."""
+    values = {**values, "level": level}
+    return np.array([quantity.scaled(values[name]) for name, quantity in LAW_QUANTITIES.items()], float)
+
+
+def _default_variances() -> np.ndarray:
+    return np.array([quantity.default_sd**2 for quantity in LAW_QUANTITIES.values()])
+
+
+def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
+    """Return the note of a key with the parameters of one minimum, on the velocity scale of the instrument."""
+    loudest = int(np.argmax(minimum.velocities))
+    velocity = float(minimum.velocities[loudest])
+    scale = LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0
+    at = minimum.parameters
+    hammer = soft_hammer(note.hammer)
+    skin = at["skin"] * scale if "skin" in at else hammer.skin
+    hammer = hammer._replace(
+        K_H=at["K_H"] * scale ** (1 - at["p"]),
+        mu=max(at["mu"] / scale, ALL_PARAMETERS["mu"].lower),
+        p=at["p"],
+        M_H=at["M_H"],
+        v_H0=velocity * scale,
+        skin=skin,
+    )
+    geometry = note.geometry._replace(strike_position=at["x0"], width=at["width"])
+    string = note.string._replace(**{name: at[name] for name in STRING_NAMES})
+    return note._replace(string=string, hammer=hammer, geometry=geometry)
+
+
+def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float) -> Measurement:
+    own = note_at(fit, note, minimum)
+    mean = _scaled(key_quantities(own, midi), level)
+    variance = _default_variances()
+    if minimum.covariance is None:
+        return Measurement(minimum.weight, mean, np.diag(variance))
+    matrix = _conditional(fit, minimum, minimum.covariance)
+    scale = float(own.hammer.v_H0) / float(np.max(minimum.velocities))
+    exponents = _exponents(minimum.covariance.names, own, midi, scale)
+    covariance = exponents @ matrix @ exponents.T * (1.0 if fit.converged else NONCONVERGED_FACTOR**2)
+    given = np.diag(covariance) < GIVEN
+    return Measurement(minimum.weight, mean, covariance + np.diag(np.where(given, variance, 0.0)))
+
+
+def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarray:
+    """Covariance of a fit; given the velocity of the loudest stroke if the scale of the velocities is unknown."""
+    matrix, loudest = covariance.matrix, int(np.argmax(minimum.velocities))
+    name = "v_H0" if loudest == fit.reference.stroke else f"v_H0 {loudest + 1}"
+    if fit.velocity_scale_open and name in covariance.names:
+        fixed = covariance.names.index(name)
+        if matrix[fixed, fixed] > 0:
+            matrix = matrix - np.outer(matrix[fixed], matrix[fixed]) / matrix[fixed, fixed]
+    return matrix
+
+
+def _exponents(names: tuple[str, ...], note: Note, midi: int, scale: float) -> np.ndarray:
+    """Derivatives of the quantities by the logarithms of a fit's values [quantities, names]."""
+    hammer, u = soft_hammer(note.hammer), law_compression(midi)
+    p, skin = float(hammer.p), float(hammer.skin)
+    share = skin_share(u, skin)
+    log_base = math.log(SOFT_SKIN.power_base(u, {"skin": skin}))
+    rows: dict[str, dict[str, float]] = {
+        "cents": {"c": CENTS},
+        "B": {"kappa": 2.0, "c": -2.0},
+        "b1": {"b1": 1.0},
+        "d2": {"b2": 1.0},
+        "M_H/M_S": {"M_H": 1.0},
+        # F = K s^(1-p) g^p, with the base g = u²/(u + skin)
+        "F/M_S": {"K_H": 1.0, "p": p * (log_base - math.log(scale)), "skin": -p * share},
+        "local_exponent": {"p": 1.0, "skin": share * (1 - share) / (1 + share)},
+        "mu": {"mu": 1.0},
+        "skin": {"skin": 1.0},
+        "x0/L": {"x0": 1.0},
+        "width/L": {"width": 1.0},
+    }
+    return np.array([[rows.get(quantity, {}).get(name, 0.0) for name in names] for quantity in LAW_QUANTITIES])
+
+
+def _scale_direction(note: Note, midi: int, level: float) -> np.ndarray:
+    """Change of the quantities with the logarithm of the scale of the velocities [quantities]."""
+    hammer = soft_hammer(note.hammer)
+    p, share = float(hammer.p), skin_share(law_compression(midi), hammer.skin)
+    slope = (level - stroke_level(note, LOUDEST_VELOCITY * math.exp(-LEVEL_STEP))) / LEVEL_STEP
+    change = {
+        "F/M_S": 1 - p - p * share,
+        "local_exponent": share * (1 - share) / (1 + share),
+        "mu": -1.0,
+        "skin": 1.0,
+        "level": -slope,
+    }
+    return np.array([change.get(name, 0.0) for name in LAW_QUANTITIES])

@@ -1,0 +1,228 @@
+"""What the partials of recorded keys tell of the instrument: levels, decays, phases and channels as fields.
+
+The partials of a recorded key show how the instrument passes on what its string does. Their levels are relative to the
+string model struck by the hammer of the laws, and not by the hammer of the key's own fit. Otherwise the difference of
+the two hammers, which the path of the key makes up for, would appear in keys that are guessed from it.
+
+Partials are averaged in cells of frequency as wide as the bands of the ear, as powers: where a band holds several
+partials, the sound has their total energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..dsp.level import level_energy
+from ..model.modal_response import ForcePulse, ModalResponse, force_pulse
+from ..model.modes import mode_frequencies, raised_cosine_weights
+from ..model.note import Note
+from .fields import FieldPoints, FieldShape, field_shape
+from .guessed_knocks import KnockFields, measure_knocks
+from .key_quantities import is_force
+
+# Width of the cells of frequency in which the partials of a key are averaged, octaves: a critical band.
+CELL = 1 / 6
+# Largest amplitude of a channel over the mean of all: channels can cancel one another.
+LARGEST_SIDE = 4.0
+# Times at which decay curves are compared, in units of the inverse decay rate of the laws.
+TIMES = np.concatenate([[0.0], np.geomspace(5e-4, 60, 56)])
+# Part of these times that tells the early decay.
+EARLY = (TIMES > 0) & (TIMES <= 1.0)
+# Smallest early decay over that of the laws.
+LEAST_RATIO = 0.02
+# Velocities at which levels are compared, m/s: pianissimo to fortissimo.
+VELOCITIES = np.geomspace(0.25, 4.0, 5)
+# Most partials of a string model.
+MOST_PARTIALS = 512
+# Rate of the simulated contacts, Hz.
+CONTACT_RATE = 44_100
+# Smallest power, to take logarithms.
+NOTHING = 1e-300
+
+
+class StringLaw(NamedTuple):
+    """Values of the keyboard laws for the string of one key."""
+
+    b1: float  # decay rate of partial k: b1 + d2 k², 1/s
+    d2: float
+    strike_sd: float  # standard deviation of the strike position of one key, relative
+
+    def decay(self, number: np.ndarray) -> np.ndarray:
+        """Decay rates of partials of this `number`, 1/s."""
+        return self.b1 + self.d2 * number**2
+
+
+class RecordedKey(NamedTuple):
+    """A recorded key, and what the laws say of it."""
+
+    midi: int
+    note: Note  # as recorded
+    response: ModalResponse  # of the note
+    law_note: Note  # the same string, struck by the hammer of the laws
+    law: StringLaw
+    velocities: tuple[float, ...]  # of its recordings, m/s
+
+    @property
+    def compared_velocities(self) -> np.ndarray:
+        """The `VELOCITIES` within those of the recordings, m/s: beyond them the key says nothing."""
+        return np.clip(VELOCITIES, min(self.velocities), max(self.velocities))
+
+    def drive_differences(self, pole: np.ndarray) -> np.ndarray:
+        """Level of the drive by the own hammer over that by the hammer of the laws, dB [velocities, poles]."""
+        strokes = [
+            [np.abs(_pulse(note, v).drive(pole)) for note in (self.note, self.law_note)]
+            for v in self.compared_velocities
+        ]
+        own, law = np.maximum(np.array(strokes), NOTHING).transpose(1, 0, 2)
+        return 20 * np.log10(own / law)
+
+
+class Cells(NamedTuple):
+    """Fields in cells of frequency of one or several keys."""
+
+    points: FieldPoints
+    level: np.ndarray  # of the mean of the channels, dB, mean over the `VELOCITIES` [points]
+    change: np.ndarray  # of the level with velocity beyond that of the laws' hammer, dB [points, velocities]
+    curve: np.ndarray  # decay curves, dB [points, times]
+    phasor: np.ndarray  # mean phasor of the mean of the channels, complex [points]
+    side: np.ndarray  # amplitudes of the channels over their mean, complex [points, channels]
+    side_power: np.ndarray  # mean square of their deviation from 1 [points]
+
+
+class KeyFields(NamedTuple):
+    """Fields of all recorded keys."""
+
+    cells: Cells
+    keys: np.ndarray  # recorded keys [keys]
+    highest: np.ndarray  # frequency of their highest partials, Hz [keys]
+    rate: int  # of the responses, Hz
+    level_shape: FieldShape
+    curve_shape: FieldShape
+    knocks: KnockFields | None
+
+    def predict(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Predict a field from its values with these weights [at, ...]; far from all points it is their mean."""
+        centre = np.average(values, axis=0, weights=self.cells.points.size)
+        return centre + weights @ (values - centre)
+
+
+class Partials(NamedTuple):
+    """The partials of a string [partials]."""
+
+    frequency: np.ndarray  # Hz
+    impulse: np.ndarray  # response to 1 N s at the pickup
+
+
+def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) -> Partials:
+    """Return the first partials of the string model of a note.
+
+    The strike position has the relative standard deviation `strike_sd`. A partial with a node near it has the root mean
+    square of its amplitude: one position would make it fainter than almost any other.
+    """
+    g, s = note.geometry, note.string
+    beta = np.arange(1, count + 1) * (np.pi / g.length)
+    frequency = mode_frequencies(s, g.length, count)
+    omega, weight = 2 * np.pi * frequency, raised_cosine_weights(g, count, np)
+    # Mean of sin² β x over a Gaussian x, over sin² β x0.
+    at, blur = beta * g.strike_position, np.exp(-2 * (beta * strike_sd * g.strike_position) ** 2)
+    sine = np.sin(at)
+    weight = weight / np.where(np.abs(sine) < 1e-9, 1e-9, sine) * np.sqrt((1 - blur * np.cos(2 * at)) / 2)
+    if is_force(note.quantity):  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
+        sign = np.where(np.arange(count) % 2, -1.0, 1.0)
+        return Partials(frequency, sign * 2 * weight * omega / (beta * g.length))
+    impulse = 2 * weight / g.mass * np.sin(beta * g.pickup) / (1.0 if note.quantity == "velocity" else omega)
+    return Partials(frequency, impulse)
+
+
+def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
+    """Measure the fields from recorded keys in ascending order; None without any."""
+    if not keys:
+        return None
+    rows = [_measure(key) for key in keys]
+    channels = max(row.side.shape[1] for row in rows)
+    # A key with fewer channels says of all channels what it says of its own.
+    rows = [row._replace(side=np.resize(row.side.T, (channels, len(row.level))).T) for row in rows]
+    points = FieldPoints(*(np.concatenate(column) for column in zip(*(row.points for row in rows), strict=True)))
+    fields = [np.concatenate(column) for column in zip(*(row[1:] for row in rows), strict=True)]
+    cells = Cells(points, *fields)
+    gains = [abs(key.note.gain) * 10 ** (float(key.drive_differences(np.zeros(1)).mean()) / 20) for key in keys]
+    numbers = np.array([key.midi for key in keys], float)
+    return KeyFields(
+        cells,
+        numbers,
+        np.array([_partials_of(key)[1].frequency[-1] for key in keys]),
+        max(key.response.rate for key in keys),
+        field_shape(points, cells.level),
+        field_shape(points, np.log(_early_ratio(cells.curve))),
+        measure_knocks(numbers, [key.response for key in keys], np.array(gains), channels),
+    )
+
+
+def _partials_of(key: RecordedKey) -> tuple[np.ndarray, Partials]:
+    """Numbers of the measured partials of a key, and the string model of them."""
+    numbers = np.unique(key.response.partial)
+    numbers = numbers[(numbers > 0) & (numbers <= MOST_PARTIALS)]
+    string = string_partials(key.note, key.law.strike_sd)
+    return numbers, Partials(*(column[numbers - 1] for column in string))
+
+
+def _measure(key: RecordedKey) -> Cells:
+    """Measure the fields of one key."""
+    response, note = key.response, key.note
+    numbers, string = _partials_of(key)
+    own_decay = note.string.b1 + note.string.b2 * (numbers * np.pi / note.geometry.length) ** 2
+    drives = key.drive_differences(-own_decay + 2j * np.pi * string.frequency)
+    parts = [response.partial == number for number in numbers]
+    mono = response.pattern.mean(axis=0)
+    energies = np.array([_energies(response, mono, part, key.compared_velocities) for part in parts])
+    reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
+    level = 10 * np.log10(np.maximum(energies, NOTHING) / reference[:, None]) + drives.T  # [partials, velocities]
+    shape = np.array([_decay(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
+    strongest = np.array([np.flatnonzero(part)[np.argmax(np.abs(mono[part]))] for part in parts])
+    sign = np.sign(string.impulse * note.gain)
+    side = (response.pattern[:, strongest] / mono[strongest]).T
+    side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
+    octave = np.log2(string.frequency)
+    _, cell, count = np.unique(np.floor(octave / CELL), return_inverse=True, return_counts=True)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        total = np.zeros((len(count), *values.shape[1:]), values.dtype)
+        np.add.at(total, cell, values)
+        return total / count.reshape(-1, *(1,) * (total.ndim - 1))
+
+    points = FieldPoints(mean(octave), np.full(len(count), float(key.midi)), count.astype(float))
+    by_velocity = 10 * np.log10(mean(10 ** (level / 10)))
+    power = mean(10 ** (level.mean(axis=1, keepdims=True) / 10) * shape)
+    curve = 10 * np.log10(np.maximum(power, NOTHING))
+    base = by_velocity.mean(axis=1)
+    phasor = mean(sign * np.exp(1j * np.angle(mono[strongest])))
+    side_power = mean((np.abs(side - 1) ** 2).mean(axis=1))
+    return Cells(points, base, by_velocity - base[:, None], curve - curve[:, :1], phasor, mean(side), side_power)
+
+
+def _energies(response: ModalResponse, mono: np.ndarray, part: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+    """Energies of the level of one partial after a unit of force at these velocities [velocities]."""
+    gain = response.velocity_gain
+    factors = [np.ones(part.sum()) if gain is None else np.abs(gain.at(v)[part]) for v in velocities]
+    power = np.abs(mono[part]) ** 2 * np.array(factors) ** 2
+    return power @ level_energy(-2 * np.real(response.pole[part]))
+
+
+def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: float) -> np.ndarray:
+    """Power of a partial without interference at the `TIMES`, over its energy [times]."""
+    power, rate = np.abs(mono[part]) ** 2, -np.real(response.pole[part])
+    return power @ np.exp(-2 * np.outer(rate / decay, TIMES)) / max(float(power @ level_energy(2 * rate)), NOTHING)
+
+
+def _pulse(note: Note, velocity: float) -> ForcePulse:
+    """Return the force of a stroke of the note."""
+    return force_pulse(note.with_velocity(velocity).strike(CONTACT_RATE), velocity)
+
+
+def _early_ratio(curve: np.ndarray) -> np.ndarray:
+    """Early decay rate over that of the laws [points], from decay curves [points, times]."""
+    string = -20 / np.log(10) * TIMES[EARLY]
+    return np.maximum(curve[:, EARLY] @ string / np.sum(string**2), LEAST_RATIO)
