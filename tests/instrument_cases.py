@@ -25,7 +25,7 @@ from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
 from pianofit.model.output_path import OutputPath
-from pianofit.parameters import Geometry, Hammer, String
+from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.derived import Derived
 from pianofit.schema.fit import (
@@ -34,13 +34,14 @@ from pianofit.schema.fit import (
     Diagnostics,
     Fit,
     LevelErrors,
+    Minimum,
     PartialLevels,
     PathEntry,
     Pickup,
     RecordingFit,
 )
 from pianofit.schema.instrument import FitSummary
-from pianofit.schema.quantities import Quantities, Quantity
+from pianofit.schema.quantities import Covariance, Quantities, Quantity
 
 PRESSED = 0.3e-3  # m, compression at which the fits of a library determine the force
 RATE = 44_100
@@ -48,7 +49,7 @@ LAYERS = (0.7, 1.7, 4.0)  # m/s
 # Two modes of every partial: decay over that of the string model, and relative amplitude.
 PARTS = ((1.5, 1.0), (0.3, 0.2))
 # Standard deviations of logarithms, typical of the fit of an uncalibrated key.
-ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.3, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
+ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.1, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
 
 
 def true_note(midi: int) -> Note:
@@ -115,8 +116,22 @@ def document_of(piano: Instrument) -> dict[str, Any]:
     return json.loads(json.dumps(builtins_of(instrument_record(piano)), allow_nan=False))
 
 
-def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
-    """The `fit.json` of a note, from a fit with these errors (standard deviations of logarithms)."""
+def covariance_of(errors: Mapping[str, float], velocities: tuple[float, ...], p: float, pressed: float) -> Covariance:
+    """Covariance of a fit: K_H and p trade off, so that the error `K_H` is that of the force at `pressed`, m."""
+    strokes = ["v_H0" if i == len(velocities) - 1 else f"v_H0 {i + 1}" for i in range(len(velocities))]
+    names = (*FIT_NAMES, "x0", "width", *strokes)
+    root = np.diag([errors.get(name, 0.0) for name in names])
+    root[names.index("K_H"), names.index("p")] = -p * math.log(pressed) * errors.get("p", 0.0)
+    return Covariance(names, root @ root.T)
+
+
+def fit_document(
+    note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS, pressed: float = PRESSED
+) -> dict:
+    """The `fit.json` of a note, from a fit with these errors (standard deviations of logarithms).
+
+    The error `K_H` is that of the force at the compression `pressed`, m.
+    """
     s, h, g = note.string, note.hammer, note.geometry
     values = s._asdict() | h._asdict() | {"x0": g.strike_position, "width": g.width, "M_S": g.mass, "L": g.length}
     criterion = Criterion({"global": BandValue(0.2, 0.1)}, (), 30.0, ())
@@ -131,12 +146,15 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
         for i, v in enumerate(velocities)
     ]  # fmt: skip
     path = None if note.path is None else PathEntry(note.path.frequency, note.path.db)
+    covariance = covariance_of(errors, velocities, float(h.p), pressed)
+    own = {name: float(values[name]) for name in (*FIT_NAMES, "x0", "width")}
+    minimum = Minimum(1.0, 0.0, own, np.array(velocities), None, None, covariance)
     fit = Fit(
         recipe="default", felt="hunt-crossley", seed=0,
         converged=True, identifiability_statement="", warnings=(), invariants=Quantities({}),
         parameters=Quantities.of(quantity(name, value, errors.get(name)) for name, value in values.items()),
-        recordings=tuple(recordings), minima=(), pickup=Pickup(note.quantity, path), levels=levels, criterion=criterion,
-        derived=Derived(1.0, 1e-4, 1.0, 0.2, (), 0.0, ()), diagnostics=Diagnostics(1, 1),
+        recordings=tuple(recordings), minima=(minimum,), pickup=Pickup(note.quantity, path), levels=levels,
+        criterion=criterion, derived=Derived(1.0, 1e-4, 1.0, 0.2, (), 0.0, ()), diagnostics=Diagnostics(1, 1),
     )  # fmt: skip
     return builtins_of(fit)
 
@@ -145,13 +163,6 @@ def quantity(name: str, value: float, sd: float | None) -> Quantity:
     """A parameter with this standard deviation of its logarithm."""
     interval = None if sd is None else (value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd))
     return Quantity(name, float(value), "", interval, "scaled" if name in ("v_H0", "K_H", "mu") else "fitted")
-
-
-def add_force(document: dict, note: Note, at: float, sd: float) -> None:
-    """Add the felt force at the reference compression `at`, m, to such a fit."""
-    value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
-    document["invariants"] |= Quantities.of([quantity("F/M_S", value, sd or None)]).to_builtins()
-    document["derived"]["reference_compression_mm"] = 1e3 * at
 
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
@@ -170,17 +181,13 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
         off = {name: math.exp(sd * random.normal()) for name, sd in errors.items()}
         string = String(*(x * off.get(n, 1.0) for n, x in note.string._asdict().items()))
         # K_H and p trade off: their errors keep the force at `PRESSED`.
-        p, force = note.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0) / 3
+        p, force = note.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0)
         pressed = note.hammer.K_H * PRESSED**note.hammer.p * math.exp(force * random.normal())
         hammer = note.hammer._replace(K_H=pressed / PRESSED**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
                                        M_H=note.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
         geometry = note.geometry._replace(strike_position=note.geometry.strike_position * off.get("x0", 1.0))
         fitted = note._replace(string=string, hammer=hammer, geometry=geometry)
-        spread_p = errors.get("p", 0.0) * note.hammer.p
-        stated = errors | {"K_H": math.hypot(force, math.log(1 / PRESSED) * spread_p)}
-        document = fit_document(fitted, stated)
-        add_force(document, fitted, PRESSED, force)
-        write_fit(folder, midi, document)
+        write_fit(folder, midi, fit_document(fitted, errors))
     return folder
 
 

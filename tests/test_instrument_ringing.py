@@ -1,4 +1,4 @@
-"""An instrument whose recorded keys have modal responses, which unrecorded keys borrow."""
+"""An instrument whose recorded keys have modal responses, from which those of the other keys follow."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from instrument_cases import ERRORS, PARTS, RATE, document_of, fit_document, run
 from typer.testing import CliRunner
 
 from pianofit.cli import app
+from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
-from pianofit.instrument.interpolate_keys import REACH, interpolate_keys
-from pianofit.model.modal_response import force_pulse
-from pianofit.model.modes import mode_frequencies
+from pianofit.instrument.fields import FieldPoints, FieldShape, field_shape
+from pianofit.instrument.guessed_keys import guess_response
+from pianofit.instrument.key_quantities import stroke_level
+from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, string_partials
+from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry, encode_knock
 
@@ -48,59 +51,125 @@ def file(document, tmp_path_factory):
 
 
 def test_a_recorded_key_sounds_as_its_fit(folder, file):
-    """To the quantisation of a 16-bit knock, at any velocity: the laws do not change the force of its modes."""
-    fit, own = load_keys(find_fits([folder]))[0].note, load_instrument(folder).keys[50].note
-    played = load_instrument(file).keys[50].note
+    """To the quantisation of a 16-bit knock, at any velocity on the instrument's scale."""
+    fit = load_keys(find_fits([folder]))[0]
+    own, played = (load_instrument(path).keys[50] for path in (folder, file))
+    scale = own.fit.velocities[-1] / fit.summary.velocities[-1]
     for velocity in (0.5, 4.0):
-        expected, sound = (x.render(velocity, seconds=1.0, mono=False) for x in (fit, own))
-        assert np.abs(sound - expected).max() < 1e-9 * np.abs(expected).max()
-        expected, sound = (x.render(velocity, seconds=1.0, mono=False) for x in (fit, played))
+        expected = fit.note.render(velocity, seconds=1.0, mono=False)
+        sound = own.note.render(velocity * scale, seconds=1.0, mono=False)
+        assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
+        sound = played.note.render(velocity * scale, seconds=1.0, mono=False)
         assert np.abs(sound - expected).max() < 1e-4 * np.abs(expected).max()
-        assert np.abs(sound - expected)[:, RATE // 2 :].max() < 1e-9 * np.abs(expected).max()
+        assert np.abs(sound - expected)[:, RATE // 2 :].max() < 1e-6 * np.abs(expected).max()
 
 
-def test_keys_within_reach_borrow_and_others_ring_by_their_law(folder, file):
+def test_every_key_that_was_not_recorded_has_modes_in_all_channels(folder, file):
     built, read = (load_instrument(path).keys for path in (folder, file))
     for keys in (built, read):
-        within = {*range(50 - REACH, 50 + REACH + 1)}
-        assert {midi for midi, key in keys.items() if key.note.modal_response is not None} == within
+        assert all(keys[midi].note.modal_response.channels == 2 for midi in keys if midi != 79)
         assert keys[79].note.modal_response is None
         assert keys[51].note.pre_onset_s > 0
     own, again = built[52].note.modal_response, read[52].note.modal_response
-    assert own.pole == pytest.approx(again.pole, rel=1e-12)
-    assert own.pattern == pytest.approx(again.pattern, rel=1e-12)
+    assert own.pole == pytest.approx(again.pole, rel=1e-9)
+    assert own.pattern == pytest.approx(again.pattern, rel=1e-9)
 
 
-def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
-    own, donor = true_note(52), rung(50)
-    found = interpolate_keys({50: donor, 52: own}, [52])[52].modal_response
-    law = own.string.b1 + own.string.b2 * (np.arange(1, 11) * np.pi / own.geometry.length) ** 2
-    frequency = mode_frequencies(own.string, own.geometry.length, 10)
-    times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of the inverse decay rate of the string model
+def test_neighbouring_guessed_keys_are_equally_loud(folder):
+    keys = load_instrument(folder).keys
+    for velocity, most in ((4.0, 0.5), (1.0, 1.5)):
+        level = np.array([stroke_level(keys[midi].note, velocity) for midi in (24, 25, 58, 59, 60, 61, 96, 97)])
+        assert np.abs(np.diff(level)[[0, 2, 3, 4, 6]]).max() < most
+
+
+def alike(midi: int, gain_db: float = 0.0, phase: float = 0.4) -> RecordedKey:
+    """A key whose partials all have one level and phase relative to the string model, and the decays of `PARTS`."""
+    note, law = true_note(midi)._replace(path=None, gain=1.0), StringLaw(0.0, 0.0, 0.01)
+    law = law._replace(b1=note.string.b1, d2=note.string.b2 * (np.pi / note.geometry.length) ** 2)
+    string, k = string_partials(note, law.strike_sd, 20), np.arange(1, 21)
+    rate, (ratio, part) = law.decay(k), np.array(PARTS).T
+    energy = level_energy(2 * rate[:, None] * ratio) @ part**2
+    size = string.impulse * np.sqrt(level_energy(2 * rate) / energy) * 10 ** (gain_db / 20) * np.exp(1j * phase)
+    pole = -np.outer(rate, ratio) + 2j * np.pi * string.frequency[:, None]
+    pattern = (size[:, None] * part).ravel() * np.array([[1.5], [0.5]])
+    knock = np.zeros((2, 0))
+    response = ModalResponse(np.repeat(k, 2), pole.ravel(), np.zeros(40), pattern, knock, RATE)
+    return RecordedKey(midi, note._replace(modal_response=response), response, note, law, (1.0, 4.0))
+
+
+def test_a_guess_between_keys_that_are_alike_is_like_them():
+    """Levels relative to the string model, decay curve, phase and channels are those that all recorded keys share."""
+    fields, wanted = measure_fields([alike(midi, 5.0) for midi in (44, 48, 52, 60)]), alike(50, 5.0)
+    found = guess_response(wanted.note, 50, wanted.law, fields)
+    times, rate = np.array([0.0, 0.1, 0.3, 1.0, 3.0]), wanted.law.decay(np.arange(1, 21))
     ratio, part = np.array(PARTS).T
     truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # without beating
-    for k in range(1, 9):
-        at = found.partial == k
-        assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(frequency[k - 1], rel=1e-9)
-        parts = np.exp(np.outer(times, np.real(found.pole[at]) / law[k - 1]))
-        curve = 20 * np.log10(np.abs(parts @ found.pattern[0, at]))
+    string = string_partials(wanted.note, wanted.law.strike_sd, 20)
+    for k in range(1, 19):
+        at, own = found.partial == k, wanted.response.partial == k
+        assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(string.frequency[k - 1], rel=1e-9)
+        parts = np.exp(np.outer(times, np.real(found.pole[at]) / rate[k - 1]))
+        curve = 20 * np.log10(np.abs(parts @ found.pattern.mean(axis=0)[at]))
         # The root of a sum of powers is not a sum of exponentials. Positive exponentials come this near.
         assert curve - curve[0] == pytest.approx(truth - truth[0], abs=0.5)
-    # Its energy on the damped circle, in the mean of the channels, against a stroke of the string model, which other
-    # code computes.
-    bare, sigma = own._replace(path=None), 30.0
-    borrowed = interpolate_keys({50: donor, 52: bare}, [52])[52].modal_response
-    alone, stroke = bare.render_stroke(RATE, 2 * RATE)
-    seconds = np.arange(len(alone)) / RATE
-    for k in range(1, 8):
-        at = borrowed.partial == k
-        drive = force_pulse(stroke, float(bare.hammer.v_H0)).drive(borrowed.pole[at])
-        part = np.abs(borrowed.pattern[:, at].mean(axis=0) * drive) * bare.gain
-        envelope = np.exp(np.outer(seconds, np.real(borrowed.pole[at]))) @ part
-        energy = (envelope**2 * np.exp(-2 * sigma * seconds)).sum()
-        size = np.abs(alone @ np.exp(-(sigma + 2j * np.pi * frequency[k - 1]) * seconds)) / RATE * 2
-        expected = (size * (sigma + law[k - 1])) ** 2 / (2 * (sigma + law[k - 1])) * RATE
-        assert 10 * np.log10(energy / expected) == pytest.approx(0.0, abs=0.5)
+        fast = -(found.pole[at][:, None] + found.pole[at].conj())
+        shares = found.pattern.mean(axis=0)[at]
+        energy = np.real(shares @ level_energy(fast) @ shares.conj())
+        expected = np.abs(wanted.response.pattern.mean(axis=0)[own]) ** 2 @ level_energy(
+            -2 * wanted.response.pole[own].real
+        )
+        assert 10 * np.log10(energy / expected) == pytest.approx(0.0, abs=0.1)
+        assert found.pattern[0, at] / found.pattern[1, at] == pytest.approx(3.0, rel=1e-3)
+        assert np.angle(shares.sum() * np.sign(string.impulse[k - 1])) == pytest.approx(0.4, abs=0.05)
+
+
+def test_the_difference_of_two_hammers_is_not_a_level():
+    """A hammer of half the weight, with a path that makes up for it, gives the same field."""
+    key, at = alike(50), 4.0
+    light = key.note._replace(hammer=key.note.hammer._replace(M_H=0.5 * key.note.hammer.M_H))
+    own, law = (np.abs(x) for x in (drive(light, key.response, at), drive(key.note, key.response, at)))
+    response = key.response._replace(pattern=key.response.pattern * law / own)
+    made_up = RecordedKey(50, light._replace(modal_response=response), response, key.note, key.law, (at,))
+    one, other = (measure_fields([x]).cells for x in (key, made_up))
+    assert other.level == pytest.approx(one.level, abs=0.05)
+
+
+def drive(note, response, velocity) -> np.ndarray:
+    """Drive of the modes by a stroke, from the simulated force."""
+    stroke = note.with_velocity(velocity).strike(RATE)
+    force, step = np.asarray(stroke.pulse.force), float(stroke.modes.step)
+    return step * force @ np.exp(-np.outer(step * np.arange(len(force)), response.pole))
+
+
+def test_a_constant_force_has_no_sound_in_a_guess():
+    """A slow force displaces modes quasi-statically, which would be a thump. The knock of a guess cancels it."""
+    fields, wanted = measure_fields([alike(midi) for midi in (26, 30, 34)]), alike(28)
+    response = guess_response(wanted.note, 28, wanted.law, fields)
+    modes = np.real(response.pattern @ (1 / (1 - np.exp(response.pole / RATE))))
+    assert np.abs(modes).min() > 0
+    assert modes + response.knock.sum(axis=1) == pytest.approx(np.zeros(2), abs=1e-3 * np.abs(modes).max())
+    assert response.knock.shape[-1] > round(PRE_ONSET_S * RATE)
+
+
+def test_a_field_passes_through_exact_points_and_returns_to_its_mean_far_away():
+    random = np.random.default_rng(2)
+    octave, key = (axis.ravel() for axis in np.meshgrid(np.arange(6.0, 13.0), [30.0, 50.0, 70.0]))
+    points = FieldPoints(octave, key, np.ones(21))
+    shape = FieldShape(3.0, 0.7, 2.0, 20.0, 2.0, 0.4, 6.0, 1e-4)
+    values = random.normal(size=21)
+    assert shape.weights(points, points) @ values == pytest.approx(values, abs=1e-3)
+    far = FieldPoints(np.array([40.0]), np.array([900.0]), np.ones(1))
+    assert shape.weights(points, far) @ values == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_spreads_of_a_field_are_found():
+    random = np.random.default_rng(4)
+    points = FieldPoints(random.uniform(5, 13, 300), random.integers(21, 109, 300).astype(float), np.ones(300))
+    true = FieldShape(5.0, 0.8, 2.0, 20.0, 3.0, 0.5, 8.0, 2.0)
+    covariance = true.covariance(points, points) + 4.0 * np.eye(300)
+    found = field_shape(points, np.linalg.cholesky(covariance) @ random.normal(size=300))
+    assert found.residual == pytest.approx(2.0, rel=0.3)
+    assert found.common_sd + found.drift_sd == pytest.approx(8.0, rel=0.5)
 
 
 BAD = {

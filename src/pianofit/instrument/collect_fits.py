@@ -19,7 +19,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS, SoftHammer
+from ..felt import SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
@@ -29,7 +29,7 @@ from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from .key_measurements import measurements_of
-from .key_quantities import LOUDEST_VELOCITY, soft_hammer
+from .key_quantities import LOUDEST_VELOCITY, soft_hammer, within_ranges
 from .keyboard_posterior import KeyMeasurements
 
 # Number of lowest partials whose beating and decays are listed.
@@ -168,9 +168,7 @@ def _load_key(file: Path) -> KeyFit:
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
     gain = max(same_path, key=lambda recording: recording.v_H0).gain
     velocities = np.unique([recording.v_H0 for recording in fit.recordings])
-    # The law is in log μ, so a felt without loss gets the smallest allowed μ.
-    loss = max(note.hammer.mu, ALL_PARAMETERS["mu"].lower)
-    hammer = soft_hammer(note.hammer._replace(v_H0=float(velocities[-1]), mu=loss))
+    hammer = soft_hammer(note.hammer._replace(v_H0=float(velocities[-1])))
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(
         file=name,
@@ -194,7 +192,8 @@ def scale_key(key: KeyFit, scale: float) -> KeyFit:
 
 def _scaled(note: Note, summary: FitSummary, scale: float) -> tuple[Note, FitSummary]:
     h, response = soft_hammer(note.hammer), note.modal_response
-    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale, skin=h.skin * scale)
+    changed = {"K_H": h.K_H * scale ** (1 - h.p), "mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
+    hammer = h._replace(**within_ranges(changed))
     response = None if response is None else response.scale_velocity(scale)
     layers = tuple(replace(layer, velocity=layer.velocity * scale) for layer in summary.layers)
     velocities = tuple(velocity * scale for velocity in summary.velocities)

@@ -151,10 +151,11 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
     # The contact window stays on the string.
     width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
     geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
-    return Note(String(**_clipped(string)), SoftHammer(**_clipped(hammer)), geometry, quantity, 1.0)
+    return Note(String(**within_ranges(string)), SoftHammer(**within_ranges(hammer)), geometry, quantity, 1.0)
 
 
-def _clipped(values: dict[str, float]) -> dict[str, float]:
+def within_ranges(values: dict[str, float]) -> dict[str, float]:
+    """Return parameters clipped to their ranges."""
     return {n: float(np.clip(x, ALL_PARAMETERS[n].lower, ALL_PARAMETERS[n].upper)) for n, x in values.items()}
 
 

@@ -158,7 +158,7 @@ def keyboard_posterior(
     system, model = _solve(data, weights, shapes, priors), _Model(weights, shapes, priors)
     law, law_sd = _laws(data, system, model, literature, np.asarray(at, float))
     value, value_sd = _key_values(data, system, model, law[:, places])
-    z = np.stack([_deviation(system, data, i) for i in range(len(keys))], axis=1)
+    z = np.stack([_deviation(system, data, model, i) for i in range(len(keys))], axis=1)
     solved = system.solved.reshape(reference.shape)
     scale = [-(VELOCITY_SCALE_SD**2) * key.scale_direction @ solved[:, i] for i, key in enumerate(keys)]
     return KeyboardPosterior(law, law_sd, value, value_sd, z, tuple(shapes), np.array(scale), tuple(shares))
@@ -265,10 +265,15 @@ def _shares(system: _System, data: _Data, reference: np.ndarray, i: int, key: Ke
     return share / share.sum()
 
 
-def _deviation(system: _System, data: _Data, i: int) -> np.ndarray:
-    """Deviation of the fit of key `i` from the prediction of the other keys, standard deviations [quantities]."""
+def _deviation(system: _System, data: _Data, model: _Model, i: int) -> np.ndarray:
+    """Deviation of the fit of key `i` from the prediction of the other keys, standard deviations [quantities].
+
+    The key is compared with ordinary keys, so its own deviation has the scatter of these.
+    """
     difference, prediction = _left_out(system, data, i)
-    return difference / np.sqrt(np.diag(prediction) + np.diag(data.noise[i]))
+    scatter = np.array([shape.scatter**2 for shape in model.shapes])
+    variance = np.diag(prediction) - scatter / model.weights[:, i] + scatter
+    return difference / np.sqrt(variance + np.diag(data.noise[i]))
 
 
 def _laws(data: _Data, system: _System, model: _Model, literature: np.ndarray, at: np.ndarray) -> Any:
