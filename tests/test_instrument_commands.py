@@ -175,7 +175,7 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     (("play", "melody.mid", "melody.mid", "--out", "x.wav"), "not an instrument.json"),
     (("instrument", "nowhere", "--out", "x"), "no such file or folder"),
     (("instrument", "melody.mid", "--out", "x"), "not a fit.json"),
-    (("instrument", "@", "--out", "x"), "schema 5 is not 6; fit again"),
+    (("instrument", "@", "--out", "x"), "is not a fit.json"),
 ])  # fmt: skip
 def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, melody, monkeypatch):
     monkeypatch.chdir(melody.parent)
@@ -195,12 +195,15 @@ def test_a_hostile_fit_is_refused(tmp_path):
     ):
         with pytest.raises(FitError, match=message):
             load_keys([write_fit(tmp_path, 60, good | change)])
+    for entry, value in (("velocities", []), ("velocities", [-1.0]), ("parameters", {})):
+        odd = copy.deepcopy(good)
+        odd["minima"][0][entry] = value
+        with pytest.raises(FitError, match=r"minima\[0\]"):
+            load_keys([write_fit(tmp_path, 60, odd)])
     odd = copy.deepcopy(good)
-    odd["parameters"]["b1"]["interval"] = [-1.0, 2.0]
-    odd["parameters"]["p"]["interval"] = [3.0, 2.0]
-    odd["invariants"] = {"F/M_S": odd["parameters"]["b1"] | {"value": -1.0, "interval": [1.0, 2.0]}}
-    key = load_keys([write_fit(tmp_path, 60, odd)])[0]
-    assert all(np.isfinite(x) and x > 0 for x in key.sd.values())
+    odd["minima"][0]["covariance"]["matrix"][0][0] = -1.0
+    with pytest.raises(FitError, match=r"minima\[0\]\.covariance"):
+        load_keys([write_fit(tmp_path, 60, odd)])
     it = true_note(60)
     short = it.geometry._replace(length=0.15, strike_position=0.02)
     high = it._replace(string=it.string._replace(c=1999.0), geometry=short)
@@ -227,8 +230,8 @@ def discrepant(velocity: object, db: object) -> dict:
 
 
 BAD_INSTRUMENTS = {
-    "kind": (changed("kind", "fit"), "schema 5"),
-    "schema": (changed("schema", 99), "schema 5"),
+    "kind": (changed("kind", "fit"), "schema 6"),
+    "schema": (changed("schema", 99), "schema 6"),
     "quantity": (changed("quantity", ["x" * 999]), r"quantity = \['xxx.*\.\.\. must be one of velocity, "),
     "keys": (changed("keys", {}), r"keys = \{\} must be a list"),
     "no keys": (changed("keys", []), r"keys = \[\] must be a list of length >= 1"),
@@ -261,7 +264,7 @@ BAD_INSTRUMENTS = {
     "law": (changed("laws.B.low", [1.0]), r"laws\.B = .*a value for each of the 88 keys"),
     "value": (changed("keys.0.values.B.value", "high"), r"keys\[0\].values.B.value = 'high' must be a number"),
     "change": (changed("keys.1.changes", {"mass": None}), r"keys\[1\].changes.mass = None must be a number"),
-    "state": (changed("keys.0.state", "new"), r"keys\[0\].state = 'new' must be one of fitted, pulled"),
+    "state": (changed("keys.0.state", "new"), r"keys\[0\].state = 'new' must be one of recorded"),
 }
 
 

@@ -15,8 +15,8 @@ from pianofit.instrument import Instrument, build_instrument, find_fits, load_ke
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)
 BETWEEN = list(range(RECORDED[0], RECORDED[-1] + 1))
 # Largest rms error of a law over all keys from the lowest to the highest recorded; logarithms, cents for the tuning.
-ALLOWED = {"cents": 0.1, "B": 0.01, "b1": 0.02, "d2": 0.03, "M_H/M_S": 0.02, "F/M_S": 0.1, "local_exponent": 0.02, "mu": 0.1,
-           "x0/L": 0.005}  # fmt: skip
+ALLOWED = {"cents": 0.1, "B": 0.01, "b1": 0.02, "d2": 0.03, "M_H/M_S": 0.02, "F/M_S": 0.1, "local_exponent": 0.02,
+           "mu": 0.1, "x0/L": 0.005}  # fmt: skip
 
 
 def fit_library(folder: Path) -> Instrument:

@@ -24,7 +24,7 @@ from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import Hammer
+from ..parameters import FIT_NAMES, Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
@@ -163,6 +163,13 @@ def _load_key(file: Path) -> KeyFit:
             raise FitError(
                 f"{name}: recordings[{i}] has v_H0 = {recording.v_H0:g} m/s and gain = {recording.gain:g}, but a "
                 "velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
+            )
+    for i, minimum in enumerate(fit.minima):
+        missing = {*FIT_NAMES, "x0", "width"} - {*minimum.parameters}
+        if missing or len(minimum.velocities) == 0 or not (minimum.velocities > 0).all():
+            raise FitError(
+                f"{name}: minima[{i}] must have velocities above 0, m/s, and the parameters "
+                f"{', '.join(sorted(missing)) or 'of a fit'}; give the file that pianofit fit wrote"
             )
     # The note has the output path of the reference recording, and a gain belongs to a path.
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])

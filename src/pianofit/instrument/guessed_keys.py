@@ -109,7 +109,7 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
 
     Parameters
     ----------
-    note : string and geometry of the key by the laws.
+    note : the key with string and geometry of the keyboard laws.
     law : values of the laws for its string.
     """
     string = _audible_partials(note, midi, law, fields)

@@ -1,4 +1,4 @@
-"""What the fit of a key measured of the quantities that have keyboard laws: means and joint covariances.
+"""Means and joint covariances of the quantities that have keyboard laws, from the fit of a key.
 
 The covariance of a fit is that of logarithms of parameters and velocities. All law quantities but the level are
 logarithms of products of powers of these, so their covariance is J C Jᵀ with a matrix J of exponents.

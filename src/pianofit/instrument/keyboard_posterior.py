@@ -71,7 +71,7 @@ class Measurement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KeyMeasurements:
-    """What the fit of one key measured."""
+    """Measurements of the fit of one key."""
 
     midi: int
     minima: tuple[Measurement, ...]

@@ -1,4 +1,4 @@
-"""What the partials of recorded keys tell of the instrument: levels, decays, phases and channels as fields.
+"""Levels, decays, phases and channels of the partials of recorded keys, as fields over frequency and key.
 
 The partials of a recorded key show how the instrument passes on what its string does. Their levels are relative to the
 string model struck by the hammer of the laws, and not by the hammer of the key's own fit. Otherwise the difference of

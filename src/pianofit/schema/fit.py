@@ -21,7 +21,7 @@ from .. import __version__
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
-from ..io.files import path_name, printable, replace_paths
+from ..io.files import path_name, printable, replace_paths, short_repr
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from .decode import Number, convert, load_json
 from .derived import Derived
@@ -30,6 +30,8 @@ from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
 
 FIT_SCHEMA = 6
+# Kinds of the files that hold a note.
+KINDS = ("fit", "note")
 # Largest fit.json, bytes.
 LARGEST_FIT = 2**24
 # Largest number of points of an output path, far more than a string has partials.
@@ -344,7 +346,10 @@ def read_note_file(path: str | os.PathLike[str]) -> NoteFile:
 
 def _content(path: str | os.PathLike[str]) -> dict[str, Any]:
     content = load_json(path, Any, LARGEST_FIT, "a fit.json", HINT)
-    schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
+    kind = content.get("kind", "fit") if isinstance(content, dict) else type(content).__name__
+    if kind not in KINDS:
+        raise FitError(f"{printable(path)}: is not a fit.json but of kind {short_repr(kind)}; {HINT}")
+    schema = content.get("schema")
     if schema != FIT_SCHEMA:
         raise FitError(
             f"{printable(path)}: schema {schema!r} is not {FIT_SCHEMA}; fit again with this version of pianofit"

@@ -53,6 +53,8 @@ T60 = "T60_"
 MAX_ASYMMETRY = 0.1
 # A conditional variance below this share of the marginal variance is rounding error.
 ROUNDING = 1e-10
+# The same for correlations in a file, whose numbers were rounded.
+PSD_ROUNDING = 1e-6
 COLUMNS = ("name", "value", "low", "high", "unit", "status", "meaning", "note")
 TABLE_HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
 
@@ -245,6 +247,14 @@ class Covariance:
     def __post_init__(self) -> None:
         if self.matrix.shape != (len(self.names),) * 2:
             raise ValueError("Expected a square matrix with a row for each name")
+        if not np.isfinite(self.matrix).all() or not self._is_positive():
+            raise ValueError("Expected a symmetric matrix of finite numbers without negative eigenvalues")
+
+    def _is_positive(self) -> bool:
+        """True if the matrix is symmetric and has no negative eigenvalue, apart from rounding errors."""
+        sd = np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
+        unit = self.matrix / np.outer(*(np.where(sd > 0, sd, 1.0),) * 2)
+        return bool(np.allclose(unit, unit.T, atol=PSD_ROUNDING) and np.linalg.eigvalsh(unit).min() > -PSD_ROUNDING)
 
     def __getitem__(self, pair: tuple[str, str]) -> float:
         for name in pair:
