@@ -15,6 +15,7 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
+from ..dsp.knock import BAND
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.output_path import OutputPath
@@ -204,9 +205,8 @@ def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
 
     A fitted key keeps its own path with all residuals. Other keys get only the smooth part.
     """
-    points = [
-        (key.midi, *point) for key in keys if key.note.path is not None for point in _third_octave_means(key.note.path)
-    ]
+    paths = [(key.midi, key.note.path, float(key.note.f0)) for key in keys if key.note.path is not None]
+    points = [(midi, *point) for midi, path, f0 in paths for point in _third_octave_means(path, f0)]
     if not points:
         return lambda _: None
     midi, octave, db, count = np.array(points).T
@@ -220,11 +220,17 @@ def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
     return lambda key: OutputPath(THIRDS, covariance(np.full(len(THIRDS), float(key)), np.log2(THIRDS)) @ weights)
 
 
-def _third_octave_means(path: OutputPath) -> np.ndarray:
-    """Mean octave, mean dB and number of points in each third of an octave [thirds, 3]."""
-    octave = np.log2(path.frequency)
+def _third_octave_means(path: OutputPath, f0: float) -> np.ndarray:
+    """Mean octave, mean dB and number of partials in each third of an octave [thirds, 3]; f0 in Hz.
+
+    The path of the knock does not count, because keybed and action sound there too.
+    """
+    partials = path.frequency > BAND[1] * f0
+    octave = np.log2(path.frequency[partials])
     _, cell, count = np.unique(np.floor(3 * octave), return_inverse=True, return_counts=True)
-    return np.stack([np.bincount(cell, octave) / count, np.bincount(cell, path.db) / count, count], axis=1)
+    return (
+        np.stack([np.bincount(cell, octave), np.bincount(cell, path.db[partials]), count**2], axis=1) / count[:, None]
+    )
 
 
 def _warnings(keys: Sequence[KeyFit], columns: dict[str, _Column]) -> list[str]:
