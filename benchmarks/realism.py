@@ -299,7 +299,7 @@ def main() -> None:
             found = constants({name: left_out(fitted(*job), tool) for name, job in chosen.items()}, tool)
         else:
             jobs = {
-                name: (lambda job=job: left_out(fitted(*job, options.layer), tool, options.velocity))
+                name: (lambda job=job: left_out(fitted(*job, layer=options.layer), tool, options.velocity))
                 for name, job in chosen.items()
             }
             found = table(jobs, tool)
