@@ -94,6 +94,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`STUDENT`": (priors, "STUDENT", plain),
         "`PATH`, median": (priors, "PATH", place(0)),
         "`PATH`, spread": (priors, "PATH", place(1)),
+        "`KNOCK_SD`": (priors, "KNOCK_SD", plain),
+        "`KNOCK_PATH_SD`": (priors, "KNOCK_PATH_SD", plain),
         "`CENSORED_MARGIN`": (priors, "CENSORED_MARGIN", plain),
         "`LEVEL`, σ": (priors, "LEVEL", median(0)),
         "`LEVEL`, A": (priors, "LEVEL", median(1)),

@@ -3,6 +3,7 @@
     python benchmarks/realism.py                       all notes of the recordings
     python benchmarks/realism.py --notes C4,A0 --json realism.json
     python benchmarks/realism.py --notes A6 --velocity 2        played at 2 m/s, whatever the prediction's velocity
+    python benchmarks/realism.py --notes A6 --layer 1           the softest layer left out, in place of the middle one
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
@@ -126,13 +127,13 @@ def brightness(analysis) -> float:
     return float((amplitude * analysis.partials.frequency).sum() / amplitude.sum())
 
 
-def fitted(note: str, files: list[Path], setup: Setup) -> Fitted:
-    """The layer in the middle left out, the others fitted."""
+def fitted(note: str, files: list[Path], setup: Setup, layer: int | None = None) -> Fitted:
+    """One layer left out, the others fitted: the one in the middle, or `layer`, from 1, the softest."""
     from pianofit import analyse, fit, load_recording
 
     pairs = [(recording, analyse(recording, note=note)) for recording in map(load_recording, files)]
     recordings, analyses = zip(*sorted(pairs, key=lambda pair: brightness(pair[1])), strict=True)
-    out = (len(files) - 1) // 2
+    out = (len(files) - 1) // 2 if layer is None else min(layer, len(files)) - 1
     rest = [i for i in range(len(files)) if i != out]
     result = fit(*(recordings[i] for i in rest), analyses=[analyses[i] for i in rest], setup=setup)
     return Fitted(recordings, analyses, out, result)
@@ -153,7 +154,8 @@ def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> Le
         noise(others, analysis.f0, recording.rate), tool.load(recording.path),
         partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
-    near = [distances(tool.load(recordings[i].path), left, tool) for i in (out - 1, out + 1)]
+    beside = [recordings[i] for i in (out - 1, out + 1) if 0 <= i < len(recordings)]
+    near = [distances(tool.load(other.path), left, tool) for other in beside]
     return left._replace(near=min(near, key=lambda x: x["distance"]))
 
 
@@ -278,6 +280,7 @@ def main() -> None:
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--constants", action="store_true", help="what each constant of the ringing does")
     parser.add_argument("--velocity", type=float, help="m/s; by default what the prediction finds")
+    parser.add_argument("--layer", type=int, help="which is left out, from 1, the softest; by default the middle one")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     from pianofit.model.program_cache import enable_program_cache
@@ -296,7 +299,8 @@ def main() -> None:
             found = constants({name: left_out(fitted(*job), tool) for name, job in chosen.items()}, tool)
         else:
             jobs = {
-                name: (lambda job=job: left_out(fitted(*job), tool, options.velocity)) for name, job in chosen.items()
+                name: (lambda job=job: left_out(fitted(*job, layer=options.layer), tool, options.velocity))
+                for name, job in chosen.items()
             }
             found = table(jobs, tool)
     if options.json:

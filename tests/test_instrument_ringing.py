@@ -20,8 +20,9 @@ from pianofit.instrument import build_instrument, find_fits, load_instrument, lo
 from pianofit.instrument.fields import FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_keys import guess_response
 from pianofit.instrument.key_quantities import stroke_level
-from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, string_partials
+from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, measure_path, string_partials
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse
+from pianofit.model.output_path import OutputPath
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry, encode_knock
 
@@ -94,7 +95,7 @@ def alike(midi: int, gain_db: float = 0.0, phase: float = 0.4) -> RecordedKey:
     pattern = (size[:, None] * part).ravel() * np.array([[1.5], [0.5]])
     knock = np.zeros((2, 0))
     response = ModalResponse(np.repeat(k, 2), pole.ravel(), np.zeros(40), pattern, knock, RATE)
-    return RecordedKey(midi, note._replace(modal_response=response), response, note, law, (1.0, 4.0))
+    return RecordedKey(midi, note._replace(modal_response=response), note, law, (1.0, 4.0))
 
 
 def test_a_guess_between_keys_that_are_alike_is_like_them():
@@ -106,7 +107,7 @@ def test_a_guess_between_keys_that_are_alike_is_like_them():
     truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # without beating
     string = string_partials(wanted.note, wanted.law.strike_sd, 20)
     for k in range(1, 19):
-        at, own = found.partial == k, wanted.response.partial == k
+        at, own = found.partial == k, wanted.note.modal_response.partial == k
         assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(string.frequency[k - 1], rel=1e-9)
         parts = np.exp(np.outer(times, np.real(found.pole[at]) / rate[k - 1]))
         curve = 20 * np.log10(np.abs(parts @ found.pattern.mean(axis=0)[at]))
@@ -115,8 +116,8 @@ def test_a_guess_between_keys_that_are_alike_is_like_them():
         fast = -(found.pole[at][:, None] + found.pole[at].conj())
         shares = found.pattern.mean(axis=0)[at]
         energy = np.real(shares @ level_energy(fast) @ shares.conj())
-        expected = np.abs(wanted.response.pattern.mean(axis=0)[own]) ** 2 @ level_energy(
-            -2 * wanted.response.pole[own].real
+        expected = np.abs(wanted.note.modal_response.pattern.mean(axis=0)[own]) ** 2 @ level_energy(
+            -2 * wanted.note.modal_response.pole[own].real
         )
         assert 10 * np.log10(energy / expected) == pytest.approx(0.0, abs=0.1)
         assert found.pattern[0, at] / found.pattern[1, at] == pytest.approx(3.0, rel=1e-3)
@@ -127,9 +128,11 @@ def test_the_difference_of_two_hammers_is_not_a_level():
     """A hammer of half the weight, with a path that makes up for it, gives the same field."""
     key, at = alike(50), 4.0
     light = key.note._replace(hammer=key.note.hammer._replace(M_H=0.5 * key.note.hammer.M_H))
-    own, law = (np.abs(x) for x in (drive(light, key.response, at), drive(key.note, key.response, at)))
-    response = key.response._replace(pattern=key.response.pattern * law / own)
-    made_up = RecordedKey(50, light._replace(modal_response=response), response, key.note, key.law, (at,))
+    own, law = (
+        np.abs(x) for x in (drive(light, key.note.modal_response, at), drive(key.note, key.note.modal_response, at))
+    )
+    response = key.note.modal_response._replace(pattern=key.note.modal_response.pattern * law / own)
+    made_up = RecordedKey(50, light._replace(modal_response=response), key.note, key.law, (at,))
     one, other = (measure_fields([x]).cells for x in (key, made_up))
     assert other.level == pytest.approx(one.level, abs=0.05)
 
@@ -139,6 +142,15 @@ def drive(note, response, velocity) -> np.ndarray:
     stroke = note.with_velocity(velocity).strike(RATE)
     force, step = np.asarray(stroke.pulse.force), float(stroke.modes.step)
     return step * force @ np.exp(-np.outer(step * np.arange(len(force)), response.pole))
+
+
+def test_a_guess_without_modes_takes_the_smooth_path_of_the_recorded_keys():
+    frequency = 40.0 * 2.0 ** np.arange(0, 8, 0.1)
+    path = OutputPath(frequency, 5 * np.sin(np.log2(frequency)))
+    keys = [alike(midi)._replace(note=true_note(midi)._replace(path=path, gain=2.0)) for midi in (30, 40, 50, 60)]
+    found = measure_path([key._replace(law_note=key.note) for key in keys]).at(45)
+    inside = (found.frequency > 200) & (found.frequency < 4000)
+    assert found.db[inside] == pytest.approx(path.at(found.frequency[inside]) + 20 * np.log10(2.0), abs=0.7)
 
 
 def test_a_constant_force_has_no_sound_in_a_guess():

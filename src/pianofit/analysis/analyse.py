@@ -15,6 +15,7 @@ from .analysis_result import Analysis, Partials
 from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
 from .glide import PitchGlide, glide_detected, glide_windows, remove_glide
 from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
+from .knock import measure_knock
 from .note_names import hz_to_note, midi_to_note, note_to_midi
 from .numbering import number_partials
 from .partials import LEAST_SNR, measure_partials
@@ -133,6 +134,7 @@ def _measure_all(
     bound = absent_level_bounds(samples, recording.rate, absent_frequency, losses(absent), refined.f0, skip)
     table = replace(table, absent=absent, absent_bound=bound)
     significant_cents = glide_cents if glides else 0.0
+    knock, knock_error = measure_knock(recording, refined.f0)
     return Analysis(
         f0=refined.f0,
         f0_error=refined.f0_error,
@@ -154,6 +156,8 @@ def _measure_all(
         glide_start=removed.start_cents,
         glide_tau=removed.tau,
         level_law=(level_law.b1, level_law.d2),
+        knock=knock,
+        knock_error=knock_error,
     )
 
 

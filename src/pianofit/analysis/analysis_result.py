@@ -151,6 +151,8 @@ class Analysis:
     glide_start: float = 0.0  # cents above f0 at which a glide that was removed began
     glide_tau: float = 1.0  # s, time constant of a glide that was removed
     level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, which the levels are based on
+    knock: float = math.nan  # dB re full scale² · s, energy of the attack below the lowest partial; NaN if not measured
+    knock_error: float = math.inf  # dB, due to noise
 
     def with_decay_law(self, other: Analysis) -> Analysis:
         """A copy whose levels are based on the `level_law` of `other`; exact to third order in their difference.
@@ -191,7 +193,7 @@ def analysis_to_dict(analysis: Analysis) -> dict[str, Any]:
     `early_t60` and `late_t60` are added, s. Systematic covariances are replaced by standard deviations [partials], in
     Hz, 1/s and dB: `frequency_systematic`, `decay_systematic` and `level_systematic`.
     """
-    data = {"schema": 2, **dataclasses.asdict(analysis)}
+    data = {"schema": 3, **dataclasses.asdict(analysis)}
     (data["partials"]["early_t60"], data["partials"]["late_t60"]), _ = analysis.partials.t60()
     for name in ("frequency_systematic", "decay_systematic", "level_systematic"):
         data["partials"][name] = np.sqrt(np.diag(data["partials"][name]))

@@ -13,12 +13,13 @@ from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
-from .observation_tables import select_partials
+from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, simulation_grid
 
 __all__ = [
+    "KNOCK",
     "LOG_ABSENT_LOSS",
     "NO_HAMMER",
     "STRING_SIZE",

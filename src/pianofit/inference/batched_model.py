@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from ..conversions import CENTS, DB
 from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
 from ..model.contact import strike_final_state
+from ..model.knock import add_probes, knock_level
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES
@@ -57,6 +58,8 @@ def _level(
     strike_position, width = values["x0"], values["width"]
     geometry = inputs.geometry._replace(strike_position=strike_position, width=width)
     modes = mode_table(string, geometry, rate=inputs.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
+    f0 = string.c / (2 * geometry.length)
+    modes = add_probes(modes, f0) if cfg.knock else modes
     final = strike_final_state(modes, hammer, steps=inputs.steps)
     end = geometry.length if cfg.quantity in ("bridge-force", "pressure") else geometry.pickup
     delay = jnp.maximum(jnp.abs(end - strike_position) - width / 2, 0.0) / string.c
@@ -67,6 +70,9 @@ def _level(
     size = size + alpha * (final.steps * modes.step - delay)
     rate = 2 * (alpha + LEVEL_RATE / 2)
     level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
+    if cfg.knock:
+        force = jnp.abs(modes.pickup[cfg.n_modes :] * final.amplitude[cfg.n_modes :])
+        level = jnp.append(level, knock_level(force, f0, strike_position / geometry.length))
     return level, final.separated
 
 
@@ -162,6 +168,7 @@ class LevelModel:
             self.cfg = self.cfg._replace(n_modes=max(self.cfg.rows, self.cfg.n_modes // STEP_COARSENING))
         self.stroke = np.array(problem.structure.stroke)
         self.cents = problem.observed.cents[[problem.structure.stroke.index(s) for s in range(self.stroke.max() + 1)]]
+        # The knock has number 0, and is the last row.
         self.columns = problem.observed.number - 1
         table = problem.observed.level
         self.has_level = table.detected + 0.0  # 1 where a level or a bound of a censored partial exists [R, K]

@@ -46,7 +46,7 @@ class ObservedValues(NamedTuple):
 
     value: np.ndarray  # levels and bounds of censored partials, dB; cents and log decays over the string model
     recording: np.ndarray  # int, its place in the order given, from 1; 0 where a value is of all recordings
-    partial: np.ndarray  # int, k
+    partial: np.ndarray  # int, k; 0 for the knock
 
 
 @dataclass(frozen=True)

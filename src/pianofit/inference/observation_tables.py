@@ -14,8 +14,12 @@ from .likelihood import ObservationTable
 
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST_HZ = 10_000.0
+# Number of the knock's column among those of the partials of the levels, which it follows.
+KNOCK = 0
 # log τ, dB, of a table without τ.
 NONE = -50.0
+# Distance of the knock from the partials, octaves: the smooth path does not connect them.
+APART = 100.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class RecordingStructure:
 class Observations:
     """The tables and their columns."""
 
-    number: np.ndarray  # int, k of the levels' columns [K]
+    number: np.ndarray  # int, k of the levels' columns, `KNOCK` for that of the knock [K]
     level: ObservationTable
     frequency: ObservationTable  # of one virtual recording, cents over the reference's string model
     decay: ObservationTable  # of one virtual recording, logarithms over that model
@@ -88,6 +92,8 @@ def observe(
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
     level = _levels(analyses, layout, number, ref, unit, path, gains)
+    if path and np.isfinite([a.knock for a in analyses]).any():
+        level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
     frequency, decay = _string_tables(analyses, detected, law, ref)
     return Observations(number, level, frequency, decay, detected, law, cents)
@@ -163,6 +169,30 @@ def _levels(
         prior=(hyper.log_median, np.array(hyper.spread)),
         velocity=np.zeros((len(layout.stroke), 0)),
         degrees_of_freedom=np.float64(priors.STUDENT),
+    )
+
+
+def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> ObservationTable:
+    """Append the knock as a column: with a path and an error of its own, and without the excess of the partials."""
+    value, error = np.array([[a.knock, a.knock_error] for a in analyses]).T[:, :, None]
+    detected = np.isfinite(value)
+    zero, count = np.zeros_like(value), len(table.variance_profile)
+    columns = np.zeros((*table.columns.shape[:2], 1))
+    gains = table.scale.shape[1] - len(analyses)
+    columns[:gains] = table.columns[:gains, :, :1]  # the gains; the onset does not matter
+    apart = np.pad(table.distance_octaves, (0, 1), constant_values=APART)
+    apart[count, count] = 0.0
+    systematic = np.pad(table.systematic, (0, 1))
+    systematic[count, count] = priors.KNOCK_PATH_SD**2
+    return table._replace(
+        value=np.append(table.value, np.where(detected, value, 0.0), axis=1),
+        variance=np.append(table.variance, np.where(detected, error, 0.0) ** 2 + priors.KNOCK_SD**2, axis=1),
+        detected=np.append(table.detected, detected, axis=1),
+        columns=np.append(table.columns, columns, axis=2),
+        systematic=systematic,
+        distance_octaves=apart,
+        variance_profile=np.append(table.variance_profile, 0.0),
+        ratio=np.append(table.ratio, zero, axis=1),
     )
 
 

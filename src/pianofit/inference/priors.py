@@ -54,6 +54,11 @@ STUDENT = 10.0
 # Residual standard deviation τ of a path, dB, median and spread, from notes recorded at several velocities
 # (benchmarks/path_prior.py).
 PATH = (4.5, 0.4)
+# Standard deviation of a knock from the force, dB: 1.1 in five treble keys of five pianos, 1.8 in eleven keys of all
+# registers, levelled libraries included (benchmarks/knock_study.py).
+KNOCK_SD = 1.5
+# Standard deviation of the path of a knock from that of the gain, dB: keybed and action sound too.
+KNOCK_PATH_SD = 30.0
 # A censored partial may exceed the bound of its band by this, dB: leakage of neighbours can cancel it.
 CENSORED_MARGIN = 1.0
 # Initial hammer velocity, m/s, if none is given: a moderate forte.

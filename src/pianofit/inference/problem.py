@@ -21,7 +21,7 @@ from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
 from ..setup import RecordingInfo, Setup, recording_info_for, relative_sd
 from . import priors
-from .observation_tables import Observations, RecordingStructure, observe
+from .observation_tables import KNOCK, Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
 
@@ -54,6 +54,7 @@ class StaticConfig(NamedTuple):
     rows: int  # partials with levels, 1 to rows
     quantity: str
     law: FeltLaw
+    knock: bool = False  # True if the last row is the knock
 
 
 class ModelInputs(NamedTuple):
@@ -251,7 +252,8 @@ def _model(
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
     inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(u_ref), np.int64(steps), free)
-    return unknowns, inputs, StaticConfig(max(first.modes.pole.shape[0], rows), rows, start.quantity, law)
+    modes, knock = max(first.modes.pole.shape[0], rows), KNOCK in observed.number
+    return unknowns, inputs, StaticConfig(modes, rows, start.quantity, law, knock)
 
 
 def simulation_grid(first: Simulation, round_trip: float, last: int, longest: float) -> tuple[float, int, int]:

@@ -21,7 +21,7 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
 from .collect_fits import KeyFit, scale_key
-from .guessed_keys import fields_of, guess_path, guess_response, string_law
+from .guessed_keys import guess_response, recorded_keys, string_law
 from .instrument import Instrument, Key
 from .key_quantities import (
     LAW_QUANTITIES,
@@ -30,7 +30,7 @@ from .key_quantities import (
     stroke_level,
 )
 from .keyboard_posterior import KeyboardPosterior, keyboard_posterior
-from .measured_fields import KeyFields
+from .measured_fields import KeyFields, PathField, measure_fields, measure_path
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
 NAMES = tuple(LAW_QUANTITIES)
@@ -78,10 +78,11 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     keys = [scale_key(key, math.exp(scale)) for key, scale in zip(keys, posterior.log_scale, strict=True)]
     laws = {n: _keyboard_law(q, posterior, reference) for q, n in enumerate(NAMES)}
     recorded = {key.midi: Key(key.note, "recorded", _values(key.midi, posterior, keys), key.summary) for key in keys}
-    fields = fields_of(recorded, laws)
+    seen = recorded_keys(recorded, laws)
+    fields, path = measure_fields(seen), measure_path(seen)
     guessed = {
         int(midi): Key(
-            _guess(int(midi), laws, fields, keys[0].note),
+            _guess(int(midi), laws, fields, path, keys[0].note),
             "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated",
             _values(int(midi), posterior, keys),
             is_guessed=True,
@@ -168,13 +169,15 @@ def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> 
     return found
 
 
-def _guess(midi: int, laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, like: Note) -> Note:
+def _guess(
+    midi: int, laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, path: PathField | None, like: Note
+) -> Note:
     """Return the note of a key that was never recorded."""
     values = {name: float(law.value[midi - LOWEST_KEY]) for name, law in laws.items()}
     note = note_from_quantities(values, midi, like.quantity)
+    note = note._replace(path=None if path is None else path.at(midi))
     if fields is not None:
-        response = guess_response(note, midi, string_law(laws, midi), fields)
-        note = note._replace(path=guess_path(midi, fields), modal_response=response)
+        note = note._replace(modal_response=guess_response(note, midi, string_law(laws, midi), fields))
     gain = 10 ** ((values["level"] - stroke_level(note)) / 20)
     return note._replace(gain=math.copysign(gain, like.gain))
 

@@ -25,7 +25,6 @@ from ..conversions import HALF_WIDTH_95, LOWEST_KEY
 from ..dsp.level import level_energy
 from ..model.modal_response import ModalResponse, VelocityGain
 from ..model.note import Note
-from ..model.output_path import OutputPath
 from ..schema.instrument import KeyboardLaw
 from .fields import FieldPoints
 from .guessed_knocks import guess_knock, static_part
@@ -53,8 +52,6 @@ LEAST = 1e-5
 FEWEST_PARTIALS = 3
 # Partials of a guessed key end half a semitone above the highest partials of the recorded keys.
 MARGIN_OCTAVES = 0.5 / 12
-# Frequencies at which the path of a guessed key is stated, Hz: thirds of octaves.
-THIRDS = 20.0 * 2 ** (np.arange(31) / 3)
 # Seed of the drawn phases. Every key has its own sequence.
 SEED = 0
 
@@ -66,27 +63,22 @@ def string_law(laws: Mapping[str, KeyboardLaw], midi: int) -> StringLaw:
     return StringLaw(float(laws["b1"].value[i]), float(laws["d2"].value[i]), math.hypot(sd, strike.scatter))
 
 
-def fields_of(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> KeyFields | None:
-    """Return the fields of the recorded keys; None if none has a modal response."""
-    recorded = [
-        _recorded(midi, key, response, laws)
-        for midi, key in sorted(keys.items())
-        if laws and key.fit is not None and (response := key.note.modal_response) is not None
-    ]
-    return measure_fields(recorded)
+def recorded_keys(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> list[RecordedKey]:
+    """Return the recorded keys with their laws, in ascending order."""
+    return [_recorded(midi, key, laws) for midi, key in sorted(keys.items()) if laws and key.fit is not None]
 
 
-def _recorded(midi: int, key: Key, response: ModalResponse, laws: Mapping[str, KeyboardLaw]) -> RecordedKey:
+def _recorded(midi: int, key: Key, laws: Mapping[str, KeyboardLaw]) -> RecordedKey:
     hammer = {name: float(laws[name].value[midi - LOWEST_KEY]) for name in HAMMER}
     struck = note_from_quantities(key_quantities(key.note, midi) | hammer, midi, key.note.quantity)
     velocities = key.fit.velocities if key.fit and key.fit.velocities else (float(key.note.hammer.v_H0),)
     law_note = key.note._replace(hammer=struck.hammer)
-    return RecordedKey(midi, key.note, response, law_note, string_law(laws, midi), tuple(map(float, velocities)))
+    return RecordedKey(midi, key.note, law_note, string_law(laws, midi), tuple(map(float, velocities)))
 
 
 def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> dict[int, Key]:
     """Return all keys; those that are guessed get their modal responses, which files do not hold."""
-    fields = fields_of(keys, laws)
+    fields = measure_fields(recorded_keys(keys, laws))
     if fields is None:
         return dict(keys)
 
@@ -95,13 +87,6 @@ def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardL
         return replace(key, note=key.note._replace(modal_response=response))
 
     return {midi: with_response(midi, key) if key.is_guessed else key for midi, key in keys.items()}
-
-
-def guess_path(midi: int, fields: KeyFields) -> OutputPath:
-    """Return the smooth output path of a key, for a gain of 1."""
-    at = _points(np.log2(THIRDS), midi)
-    weights = fields.level_shape.weights(fields.cells.points, at)
-    return OutputPath(THIRDS, fields.predict(weights, fields.cells.level))
 
 
 def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> ModalResponse:

@@ -10,15 +10,17 @@ partials, the sound has their total energy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ..dsp.knock import BAND
 from ..dsp.level import level_energy
 from ..model.modal_response import ForcePulse, ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
+from ..model.output_path import OutputPath
 from .fields import FieldPoints, FieldShape, field_shape
 from .guessed_knocks import KnockFields, measure_knocks
 from .key_quantities import is_force
@@ -37,6 +39,8 @@ LEAST_RATIO = 0.02
 VELOCITIES = np.geomspace(0.25, 4.0, 5)
 # Most partials of a string model.
 MOST_PARTIALS = 512
+# Frequencies at which the path of a guessed key is stated, Hz: thirds of octaves.
+THIRDS = 20.0 * 2 ** (np.arange(31) / 3)
 # Rate of the simulated contacts, Hz.
 CONTACT_RATE = 44_100
 # Smallest power, to take logarithms.
@@ -60,7 +64,6 @@ class RecordedKey(NamedTuple):
 
     midi: int
     note: Note  # as recorded
-    response: ModalResponse  # of the note
     law_note: Note  # the same string, struck by the hammer of the laws
     law: StringLaw
     velocities: tuple[float, ...]  # of its recordings, m/s
@@ -137,55 +140,43 @@ def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) ->
     return Partials(frequency, impulse)
 
 
-def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
-    """Measure the fields from recorded keys in ascending order; None without any."""
-    if not keys:
+class PathField(NamedTuple):
+    """Output paths of the recorded keys, with their gains, as a field."""
+
+    points: FieldPoints
+    level: np.ndarray  # dB [points]
+    shape: FieldShape
+
+    def at(self, midi: int) -> OutputPath:
+        """Return the smooth output path of a key, for a gain of 1."""
+        at = FieldPoints(np.log2(THIRDS), np.full(len(THIRDS), float(midi)), np.ones(len(THIRDS)))
+        centre = np.average(self.level, weights=self.points.size)
+        return OutputPath(THIRDS, centre + self.shape.weights(self.points, at) @ (self.level - centre))
+
+
+def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
+    """Measure the output path of an instrument from recorded keys in ascending order; None without any path.
+
+    The path of a knock does not count, because keybed and action sound there too.
+    """
+    rows = []
+    for key in keys:
+        path = key.note.path
+        if path is None:
+            continue
+        partials = path.frequency > BAND[1] * key.note.f0
+        frequency = path.frequency[partials]
+        own = 20 * np.log10(abs(key.note.gain)) + key.drive_differences(2j * np.pi * frequency).mean(axis=0)
+        octave, (mean, size) = np.log2(frequency), _cells(np.log2(frequency))
+        rows.append((mean(octave), np.full(len(size), float(key.midi)), size, mean(path.db[partials] + own)))
+    if not rows:
         return None
-    rows = [_measure(key) for key in keys]
-    channels = max(row.side.shape[1] for row in rows)
-    # A key with fewer channels says of all channels what it says of its own.
-    rows = [row._replace(side=np.resize(row.side.T, (channels, len(row.level))).T) for row in rows]
-    points = FieldPoints(*(np.concatenate(column) for column in zip(*(row.points for row in rows), strict=True)))
-    fields = [np.concatenate(column) for column in zip(*(row[1:] for row in rows), strict=True)]
-    cells = Cells(points, *fields)
-    gains = [abs(key.note.gain) * 10 ** (float(key.drive_differences(np.zeros(1)).mean()) / 20) for key in keys]
-    numbers = np.array([key.midi for key in keys], float)
-    return KeyFields(
-        cells,
-        numbers,
-        np.array([_partials_of(key)[1].frequency[-1] for key in keys]),
-        max(key.response.rate for key in keys),
-        field_shape(points, cells.level),
-        field_shape(points, np.log(_early_ratio(cells.curve))),
-        measure_knocks(numbers, [key.response for key in keys], np.array(gains), channels),
-    )
+    *points, level = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return PathField(FieldPoints(*points), level, field_shape(FieldPoints(*points), level))
 
 
-def _partials_of(key: RecordedKey) -> tuple[np.ndarray, Partials]:
-    """Numbers of the measured partials of a key, and the string model of them."""
-    numbers = np.unique(key.response.partial)
-    numbers = numbers[(numbers > 0) & (numbers <= MOST_PARTIALS)]
-    string = string_partials(key.note, key.law.strike_sd)
-    return numbers, Partials(*(column[numbers - 1] for column in string))
-
-
-def _measure(key: RecordedKey) -> Cells:
-    """Measure the fields of one key."""
-    response, note = key.response, key.note
-    numbers, string = _partials_of(key)
-    own_decay = note.string.b1 + note.string.b2 * (numbers * np.pi / note.geometry.length) ** 2
-    drives = key.drive_differences(-own_decay + 2j * np.pi * string.frequency)
-    parts = [response.partial == number for number in numbers]
-    mono = response.pattern.mean(axis=0)
-    energies = np.array([_energies(response, mono, part, key.compared_velocities) for part in parts])
-    reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
-    level = 10 * np.log10(np.maximum(energies, NOTHING) / reference[:, None]) + drives.T  # [partials, velocities]
-    shape = np.array([_decay(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
-    strongest = np.array([np.flatnonzero(part)[np.argmax(np.abs(mono[part]))] for part in parts])
-    sign = np.sign(string.impulse * note.gain)
-    side = (response.pattern[:, strongest] / mono[strongest]).T
-    side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
-    octave = np.log2(string.frequency)
+def _cells(octave: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+    """Return the function that averages values of partials in the cells [cells, ...], and the sizes of the cells."""
     _, cell, count = np.unique(np.floor(octave / CELL), return_inverse=True, return_counts=True)
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -193,14 +184,79 @@ def _measure(key: RecordedKey) -> Cells:
         np.add.at(total, cell, values)
         return total / count.reshape(-1, *(1,) * (total.ndim - 1))
 
-    points = FieldPoints(mean(octave), np.full(len(count), float(key.midi)), count.astype(float))
-    by_velocity = 10 * np.log10(mean(10 ** (level / 10)))
-    power = mean(10 ** (level.mean(axis=1, keepdims=True) / 10) * shape)
-    curve = 10 * np.log10(np.maximum(power, NOTHING))
-    base = by_velocity.mean(axis=1)
-    phasor = mean(sign * np.exp(1j * np.angle(mono[strongest])))
-    side_power = mean((np.abs(side - 1) ** 2).mean(axis=1))
-    return Cells(points, base, by_velocity - base[:, None], curve - curve[:, :1], phasor, mean(side), side_power)
+    return mean, count.astype(float)
+
+
+def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
+    """Measure the fields from recorded keys in ascending order; None if none has a modal response."""
+    with_response = [(key, response) for key in keys if (response := key.note.modal_response) is not None]
+    if not with_response:
+        return None
+    rows = [_measure(key, response) for key, response in with_response]
+    channels = max(row.side.shape[1] for row in rows)
+    # A key with fewer channels says of all channels what it says of its own.
+    rows = [row._replace(side=np.resize(row.side.T, (channels, len(row.level))).T) for row in rows]
+    points = FieldPoints(*(np.concatenate(column) for column in zip(*(row.points for row in rows), strict=True)))
+    fields = [np.concatenate(column) for column in zip(*(row[1:] for row in rows), strict=True)]
+    cells = Cells(points, *fields)
+    gains = [abs(key.note.gain) * _impulse_ratio(key) for key, _ in with_response]
+    numbers = np.array([key.midi for key, _ in with_response], float)
+    responses = [response for _, response in with_response]
+    return KeyFields(
+        cells,
+        numbers,
+        np.array([_partials_of(*pair)[1].frequency[-1] for pair in with_response]),
+        max(response.rate for response in responses),
+        field_shape(points, cells.level),
+        field_shape(points, np.log(_early_ratio(cells.curve))),
+        measure_knocks(numbers, responses, np.array(gains), channels),
+    )
+
+
+def _impulse_ratio(key: RecordedKey) -> float:
+    """Momentum of the strokes of the own hammer over those of the hammer of the laws."""
+    return 10 ** (float(key.drive_differences(np.zeros(1)).mean()) / 20)
+
+
+def _partials_of(key: RecordedKey, response: ModalResponse) -> tuple[np.ndarray, Partials]:
+    """Numbers of the measured partials of a key, and the string model of them."""
+    numbers = np.unique(response.partial)
+    numbers = numbers[(numbers > 0) & (numbers <= MOST_PARTIALS)]
+    string = string_partials(key.note, key.law.strike_sd)
+    return numbers, Partials(*(column[numbers - 1] for column in string))
+
+
+def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
+    """Measure the fields of one key."""
+    note = key.note
+    numbers, string = _partials_of(key, response)
+    own_decay = note.string.b1 + note.string.b2 * (numbers * np.pi / note.geometry.length) ** 2
+    parts = [response.partial == number for number in numbers]
+    mono = response.pattern.mean(axis=0)
+    energies = np.array([_energies(response, mono, part, key.compared_velocities) for part in parts])
+    reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
+    drives = key.drive_differences(-own_decay + 2j * np.pi * string.frequency)
+    power = np.maximum(energies, NOTHING) / reference[:, None] * 10 ** (drives.T / 10)  # [partials, velocities]
+    shape = np.array([_decay(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
+    strongest = np.array([np.flatnonzero(part)[np.argmax(np.abs(mono[part]))] for part in parts])
+    side = (response.pattern[:, strongest] / mono[strongest]).T
+    side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
+    octave = np.log2(string.frequency)
+    mean, size = _cells(octave)
+    by_velocity = 10 * np.log10(mean(power))
+    level = by_velocity.mean(axis=1)
+    geometric = np.exp(np.log(power).mean(axis=1, keepdims=True))
+    curve = 10 * np.log10(np.maximum(mean(geometric * shape), NOTHING))
+    phasor = np.sign(string.impulse * note.gain) * np.exp(1j * np.angle(mono[strongest]))
+    return Cells(
+        points=FieldPoints(mean(octave), np.full(len(size), float(key.midi)), size),
+        level=level,
+        change=by_velocity - level[:, None],
+        curve=curve - curve[:, :1],
+        phasor=mean(phasor),
+        side=mean(side),
+        side_power=mean((np.abs(side - 1) ** 2).mean(axis=1)),
+    )
 
 
 def _energies(response: ModalResponse, mono: np.ndarray, part: np.ndarray, velocities: np.ndarray) -> np.ndarray:

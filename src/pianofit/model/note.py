@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import deferred
+from ..dsp.knock import centre, nodes
 from ..errors import ParameterError, check_range, check_type
 from ..felt import RelaxingHammer, SoftHammer
 from ..io.audio import RATES
@@ -18,7 +19,9 @@ from ..io.number_format import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
 from ..x64 import float64, is_numeric
 from .contact import strike
+from .damped_sums import z_transform
 from .free_response import level_db, modal_amplitudes
+from .knock import knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
 from .output_path import OutputPath, apply_filter, impulse_response, sample_at_modes
@@ -198,6 +201,12 @@ class Note(NamedTuple):
         ParameterError
             For a velocity or a count that is not above 0.
         """
+        return self.levels_and_knock(velocity, count)[0]
+
+    def levels_and_knock(
+        self, velocity: float | np.ndarray | None = None, count: int = 32
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Levels as by `levels` [..., partials], and the level of the knock, dB in file units [...]."""
         velocity = self.hammer.v_H0 if velocity is None else velocity
         if not is_numeric(velocity):
             check_type("velocity=", velocity, (), "a number or an array of numbers, m/s")
@@ -210,9 +219,11 @@ class Note(NamedTuple):
         slow = self.with_velocity(min(SLOWEST_LEVEL_VELOCITY, float(v.min()))).strike(LEVEL_RATE)
         steps = BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
         delay = arrival(self.string, g, self.quantity)
-        level = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
-        path = 0.0 if self.path is None else self.path.at(self.frequencies(count))
-        return (np.asarray(level)[:, :count] + 20 * np.log10(np.abs(self.gain)) + path).reshape(*v.shape, count)
+        level, knock = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
+        frequency = np.append(self.frequencies(count), centre(float(self.f0)))
+        path = np.zeros(count + 1) if self.path is None else self.path.at(frequency)
+        level = np.column_stack([np.asarray(level)[:, :count], knock]) + 20 * np.log10(np.abs(self.gain)) + path
+        return level[:, :count].reshape(*v.shape, count), level[:, count].reshape(v.shape)
 
 
 jax.tree_util.register_pytree_node(
@@ -225,13 +236,18 @@ jax.tree_util.register_pytree_node(
 @float64
 @partial(jax.jit, static_argnums=(6, 7, 8))
 def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
-    """Levels of all modes [velocities, modes], dB in the unit of the pickup."""
+    """Levels of all modes [velocities, modes], dB in the unit of the pickup, and of the knock [velocities], dB."""
+    f0 = string.c / (2 * geometry.length)
+    zeta = -2j * jnp.pi * f0 * nodes() / rate
     modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
 
     def level_at(v):
         pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
         level = level_db(modal_amplitudes(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
-        return jnp.where(pulse.compression[-1] <= 0, level, jnp.inf)
+        force = jnp.abs(z_transform(pulse.force, zeta)) / rate
+        knock = knock_level(force, f0, geometry.strike_position / geometry.length)
+        over = pulse.compression[-1] <= 0
+        return jnp.where(over, level, jnp.inf), jnp.where(over, knock, jnp.inf)
 
     return jax.vmap(level_at)(velocity)
 

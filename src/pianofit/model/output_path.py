@@ -60,6 +60,10 @@ class OutputPath(NamedTuple):
         nearest, is_same = self._nearest(frequency)
         return np.where(is_same, at_velocity(discrepancy.velocity, discrepancy.db[:, nearest], velocity), 0.0)
 
+    def has(self, frequency: float) -> bool:
+        """Return whether the path is given at `frequency`, Hz, and not only between or beyond its partials."""
+        return bool(self._nearest(np.array([frequency]))[1][0])
+
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Index of the nearest given partial for each `frequency`, and whether it is the same partial."""
         nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)

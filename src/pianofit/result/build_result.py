@@ -10,7 +10,7 @@ import numpy as np
 
 from ..analysis import cents_above
 from ..conversions import midi_of
-from ..inference import LOG_ABSENT_LOSS, InferenceResult, IntervalResult
+from ..inference import KNOCK, LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..literature import reference_compression
 from ..model.note import Note
 from ..schema.decode import convert
@@ -137,7 +137,7 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
     where = ("diagnostics", "this is an error in pianofit")
     return Diagnostics(
         evaluations=fit.estimate.n_strokes_computed,
-        partials=int(np.asarray(problem.observed.level.detected).sum()),
+        partials=int(np.asarray(problem.observed.level.detected)[:, problem.observed.number != KNOCK].sum()),
         correlated=tuple(Correlation((a, b), r) for a, b, r in strong_correlations(fit)),
         negative_log_posterior=float(minima.nll[0]),
         censored=len(problem.observed.level.censored),

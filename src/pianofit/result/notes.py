@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..dsp.knock import centre
 from ..inference import (
+    KNOCK,
     STRING_SIZE,
     FitProblem,
     InferenceResult,
@@ -53,13 +55,16 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
     number = observed.number[detected]
     u, theta = problem.parametrisation, candidates.theta[which]
     string = u.model_entries(theta)[:STRING_SIZE]
-    frequency = string_law(string, number, problem.initial_values.geometry.length)[0][0]
+    frequency = string_law(string, np.maximum(number, 1), problem.initial_values.geometry.length)[0][0]
+    f0 = float(np.exp(string[0])) / (2 * problem.initial_values.geometry.length)
+    frequency = np.where(number == KNOCK, centre(f0), frequency)
+    order = np.argsort(frequency)
     velocity = np.exp(observed.level.velocity[recordings] @ theta)
     velocities, first = np.unique(velocity, return_index=True)
     return OutputPath(
-        frequency,
-        latent.path[group][detected],
-        VelocityDiscrepancy(velocities, latent.discrepancy[np.ix_(recordings[first], detected)])
+        frequency[order],
+        latent.path[group][detected][order],
+        VelocityDiscrepancy(velocities, latent.discrepancy[np.ix_(recordings[first], detected)][:, order])
         if len(velocities) > 1
         else None,
     )

@@ -16,8 +16,9 @@ from scipy.optimize import fminbound
 
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
+from ..dsp.knock import centre
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
-from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SD, log_gain
+from ..inference.priors import KNOCK_SD, LEVEL, VELOCITY, VELOCITY_SD, log_gain
 from ..io.files import printable, short_repr
 from ..io.number_format import counted
 from ..model.note import SLOWEST_LEVEL_VELOCITY, Note
@@ -170,17 +171,23 @@ def _fit_velocity(
     The priors matter for few partials: three can agree with a velocity that no pianist plays.
     """
     p = analysis.partials
+    fitted_knock = note.path is not None and note.path.has(centre(float(note.f0)))
+    measured_knock = analysis.knock if fitted_knock and np.isfinite(analysis.knock) else None
+    precision = np.full(chosen.sum(), LEVEL.median[0] ** -2)
+    precision = np.append(precision, 0.0 if measured_knock is None else 1 / (KNOCK_SD**2 + analysis.knock_error**2))
 
     def cost(log_velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Negative log posterior (infinite if a contact does not end), levels [velocities, partials], gains, dB."""
         velocity = np.exp(log_velocity)
-        level = note.levels(velocity, int(p.number.max()))[:, p.number - 1]
+        level, knock = note.levels_and_knock(velocity, int(p.number.max()))
+        level = level[:, p.number - 1]
         if note.path is not None:
             level = level + note.path.velocity_discrepancy_db(_frequency(note, p.number), velocity)
         finite = np.isfinite(level.sum(axis=1))
-        residual = np.where(finite[:, None], p.level - level, 0.0)[:, chosen]
-        gain = residual.mean(axis=1)
-        misfit = 0.5 * ((residual - gain[:, None]) ** 2).sum(axis=1) / LEVEL.median[0] ** 2
+        residual = np.column_stack([(p.level - level)[:, chosen], (measured_knock or 0.0) - knock])
+        residual = np.where(finite[:, None], residual, 0.0)
+        gain = residual @ precision / precision.sum()
+        misfit = 0.5 * (residual - gain[:, None]) ** 2 @ precision
         prior = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SD) ** 2
         return np.where(finite, misfit + prior - np.array([log_gain(x, gains) for x in gain]), np.inf), level, gain
 
