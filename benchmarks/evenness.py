@@ -5,7 +5,8 @@
 Every key is struck at one MIDI velocity. Three quantities of its sound are compared between neighbouring keys:
 
     loudness   K-weighted level of the first second, dB
-    decay      fall of the K-weighted level from 0.05 s to 0.6 s after the contact, dB/s
+    decay      slope of the K-weighted level from 0.05 s to 0.65 s after the contact, or until it has fallen by 40 dB,
+               dB/s
     low        energy below 0.8 f0 over the whole energy of the first second, dB
 
 The table has rms and worst steps between two guessed keys, and from a guessed to a recorded key.
@@ -21,6 +22,7 @@ import numpy as np
 RATE = 44_100
 DECAY = (0.05, 0.6)  # s
 FRAME = 0.05  # s
+FALL = 40.0  # dB
 LOW = 0.8
 QUANTITIES = (("loudness", "dB"), ("decay", "dB/s"), ("low", "dB"))
 
@@ -31,12 +33,16 @@ def quantities(note, velocity: float) -> tuple[float, float, float]:
 
     sound = note.render(velocity, seconds=1.0, rate=RATE, mono=False)
     level = 10 * np.log10(k_weighted_mean_square(sound, RATE))
-    start = note.pre_onset_s + np.array(DECAY)
-    frames = [sound[:, round(t * RATE) : round((t + FRAME) * RATE)] for t in start]
-    first, last = (10 * np.log10(k_weighted_mean_square(frame, RATE)) for frame in frames)
+    time = np.arange(DECAY[0], DECAY[1] + FRAME / 2, FRAME)
+    begin = [round((note.pre_onset_s + t) * RATE) for t in time]
+    curve = np.array([k_weighted_mean_square(sound[:, i : i + round(FRAME * RATE)], RATE) for i in begin])
+    curve = 10 * np.log10(np.maximum(curve, 1e-30))
+    used = curve > curve[0] - FALL
+    used[:2] = True
+    slope = -float(np.polyfit(time[used], curve[used], 1)[0])
     power = (np.abs(np.fft.rfft(sound * np.hanning(sound.shape[-1]))) ** 2).sum(axis=0)
     below = np.fft.rfftfreq(sound.shape[-1], 1 / RATE) < LOW * note.f0
-    return level, (first - last) / (DECAY[1] - DECAY[0]), 10 * np.log10(power[below].sum() / power.sum())
+    return level, slope, 10 * np.log10(power[below].sum() / power.sum())
 
 
 def steps(values: np.ndarray, recorded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

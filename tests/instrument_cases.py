@@ -119,7 +119,7 @@ def document_of(piano: Instrument) -> dict[str, Any]:
 def covariance_of(errors: Mapping[str, float], velocities: tuple[float, ...], p: float, pressed: float) -> Covariance:
     """Covariance of a fit: K_H and p trade off, so that the error `K_H` is that of the force at `pressed`, m."""
     strokes = ["v_H0" if i == len(velocities) - 1 else f"v_H0 {i + 1}" for i in range(len(velocities))]
-    names = (*FIT_NAMES, "x0", "width", *strokes)
+    names = (*(name for name in FIT_NAMES if name != "v_H0"), "x0", "width", *strokes)
     root = np.diag([errors.get(name, 0.0) for name in names])
     root[names.index("K_H"), names.index("p")] = -p * math.log(pressed) * errors.get("p", 0.0)
     return Covariance(names, root @ root.T)
@@ -147,7 +147,7 @@ def fit_document(
     ]  # fmt: skip
     path = None if note.path is None else PathEntry(note.path.frequency, note.path.db)
     covariance = covariance_of(errors, velocities, float(h.p), pressed)
-    own = {name: float(values[name]) for name in (*FIT_NAMES, "x0", "width")}
+    own = {name: float(values[name]) for name in (*FIT_NAMES, "x0", "width") if name != "v_H0"}
     minimum = Minimum(1.0, 0.0, own, np.array(velocities), None, None, covariance)
     fit = Fit(
         recipe="default", felt="hunt-crossley", seed=0,

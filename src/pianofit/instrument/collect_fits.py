@@ -24,11 +24,11 @@ from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import FIT_NAMES, Hammer
+from ..parameters import Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
-from .key_measurements import measurements_of
+from .key_measurements import NEEDED, measurements_of
 from .key_quantities import LOUDEST_VELOCITY, soft_hammer, within_ranges
 from .keyboard_posterior import KeyMeasurements
 
@@ -165,7 +165,7 @@ def _load_key(file: Path) -> KeyFit:
                 "velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
             )
     for i, minimum in enumerate(fit.minima):
-        missing = {*FIT_NAMES, "x0", "width"} - {*minimum.parameters}
+        missing = NEEDED - {*minimum.parameters}
         if missing or len(minimum.velocities) == 0 or not (minimum.velocities > 0).all():
             raise FitError(
                 f"{name}: minima[{i}] must have velocities above 0, m/s, and the parameters "

@@ -28,6 +28,8 @@ from .key_quantities import (
 )
 from .keyboard_posterior import KeyMeasurements, Measurement
 
+# Parameters that every minimum must have.
+NEEDED = frozenset((*STRING_NAMES, "K_H", "mu", "p", "M_H", "x0", "width"))
 # Factor on the standard deviations of a fit that did not converge.
 NONCONVERGED_FACTOR = 2.0
 # Change of log velocity over which the slope of the level is taken.

@@ -10,14 +10,16 @@ partials, the sound has their total energy.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 
 from ..dsp.knock import BAND
 from ..dsp.level import level_energy
-from ..model.modal_response import ForcePulse, ModalResponse, force_pulse
+from ..model.modal_response import ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
 from ..model.output_path import OutputPath
@@ -36,11 +38,17 @@ EARLY = (TIMES > 0) & (TIMES <= 1.0)
 # Smallest early decay over that of the laws.
 LEAST_RATIO = 0.02
 # Velocities at which levels are compared, m/s: pianissimo to fortissimo.
-VELOCITIES = np.geomspace(0.25, 4.0, 5)
+VELOCITIES = np.geomspace(0.25, 4.0, 9)
+# Standard deviation of the logarithm of the contact time of a hammer of the laws: fits of neighbouring keys differ so.
+DURATION_SD = 0.15
+# Durations over that of the hammer of the laws, and their weights (Gauss and Hermite).
+DURATIONS, DURATION_WEIGHTS = (lambda x, w: (np.exp(DURATION_SD * x), w / w.sum()))(*hermegauss(7))
 # Most partials of a string model.
 MOST_PARTIALS = 512
 # Frequencies at which the path of a guessed key is stated, Hz: thirds of octaves.
 THIRDS = 20.0 * 2 ** (np.arange(31) / 3)
+# Size of the Fourier transform of a force over its own length: between its points the spectrum is linear.
+OVERSAMPLED = 8
 # Rate of the simulated contacts, Hz.
 CONTACT_RATE = 44_100
 # Smallest power, to take logarithms.
@@ -73,14 +81,31 @@ class RecordedKey(NamedTuple):
         """The `VELOCITIES` within those of the recordings, m/s: beyond them the key says nothing."""
         return np.clip(VELOCITIES, min(self.velocities), max(self.velocities))
 
-    def drive_differences(self, pole: np.ndarray) -> np.ndarray:
-        """Level of the drive by the own hammer over that by the hammer of the laws, dB [velocities, poles]."""
-        strokes = [
-            [np.abs(_pulse(note, v).drive(pole)) for note in (self.note, self.law_note)]
-            for v in self.compared_velocities
-        ]
-        own, law = np.maximum(np.array(strokes), NOTHING).transpose(1, 0, 2)
-        return 20 * np.log10(own / law)
+    def drive_differences(self, frequency: np.ndarray) -> np.ndarray:
+        """Level of the force of the own hammer over that of the hammer of the laws, dB [velocities, frequencies]."""
+        own = [spectrum(self.note, v)(frequency) for v in self.compared_velocities]
+        law = [expected_force(spectrum(self.law_note, v), frequency) for v in self.compared_velocities]
+        return 20 * np.log10(np.maximum(own, NOTHING) / np.maximum(law, NOTHING))
+
+
+Spectrum = Callable[[np.ndarray], np.ndarray]
+
+
+def spectrum(note: Note, velocity: float) -> Spectrum:
+    """Return the magnitude of the spectrum of the force of a stroke, N s, as a function of frequency, Hz."""
+    pulse = force_pulse(note.with_velocity(velocity).strike(CONTACT_RATE), velocity)
+    size = 2 ** math.ceil(math.log2(OVERSAMPLED * len(pulse.force)))
+    magnitude = np.abs(np.fft.rfft(pulse.force, size)) * pulse.step
+    return lambda frequency: np.interp(frequency, np.fft.rfftfreq(size, pulse.step), magnitude)
+
+
+def expected_force(of: Spectrum, frequency: np.ndarray) -> np.ndarray:
+    """Root mean square of the spectrum of the force of a hammer of the laws, N s [frequencies].
+
+    The spectrum of a force has zeros, and their frequencies depend on the duration of the contact. A hammer of the laws
+    has an uncertain duration. The force of one duration would be fainter near a zero than almost any other.
+    """
+    return np.sqrt(DURATION_WEIGHTS @ [of(frequency * ratio) ** 2 for ratio in DURATIONS])
 
 
 class Cells(NamedTuple):
@@ -166,7 +191,7 @@ def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
             continue
         partials = path.frequency > BAND[1] * key.note.f0
         frequency = path.frequency[partials]
-        own = 20 * np.log10(abs(key.note.gain)) + key.drive_differences(2j * np.pi * frequency).mean(axis=0)
+        own = 20 * np.log10(abs(key.note.gain)) + key.drive_differences(frequency).mean(axis=0)
         octave, (mean, size) = np.log2(frequency), _cells(np.log2(frequency))
         rows.append((mean(octave), np.full(len(size), float(key.midi)), size, mean(path.db[partials] + own)))
     if not rows:
@@ -235,7 +260,7 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     mono = response.pattern.mean(axis=0)
     energies = np.array([_energies(response, mono, part, key.compared_velocities) for part in parts])
     reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
-    drives = key.drive_differences(-own_decay + 2j * np.pi * string.frequency)
+    drives = key.drive_differences(string.frequency)
     power = np.maximum(energies, NOTHING) / reference[:, None] * 10 ** (drives.T / 10)  # [partials, velocities]
     shape = np.array([_decay(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
     strongest = np.array([np.flatnonzero(part)[np.argmax(np.abs(mono[part]))] for part in parts])
@@ -271,11 +296,6 @@ def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: f
     """Power of a partial without interference at the `TIMES`, over its energy [times]."""
     power, rate = np.abs(mono[part]) ** 2, -np.real(response.pole[part])
     return power @ np.exp(-2 * np.outer(rate / decay, TIMES)) / max(float(power @ level_energy(2 * rate)), NOTHING)
-
-
-def _pulse(note: Note, velocity: float) -> ForcePulse:
-    """Return the force of a stroke of the note."""
-    return force_pulse(note.with_velocity(velocity).strike(CONTACT_RATE), velocity)
 
 
 def _early_ratio(curve: np.ndarray) -> np.ndarray:
