@@ -126,7 +126,8 @@ def test_a_guess_between_keys_that_are_alike_is_like_them():
 
 def test_the_difference_of_two_hammers_is_not_a_level():
     """A hammer of half the weight, with a path that makes up for it, gives the same field."""
-    key, at = alike(50), 4.0
+    at = 4.0
+    key = alike(50)._replace(velocities=(at,))
     light = key.note._replace(hammer=key.note.hammer._replace(M_H=0.5 * key.note.hammer.M_H))
     own, law = (
         np.abs(x) for x in (drive(light, key.note.modal_response, at), drive(key.note, key.note.modal_response, at))

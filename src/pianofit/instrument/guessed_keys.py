@@ -149,7 +149,7 @@ def _draw_channels(weights: np.ndarray, fields: KeyFields, random: np.random.Gen
     """Draw the phasors of the channels, with a mean over the channels of magnitude 1 [at, channels]."""
     cells = fields.cells
     shape = (len(weights), cells.side.shape[1])
-    phase = weights @ cells.phasor
+    phase = fields.predict(weights, cells.phasor)
     free = np.sqrt(np.maximum(1 - np.abs(phase) ** 2, 0.0))
     phase = np.exp(1j * np.angle(phase + free * _complex_normal(random, shape[:1])))
     side = fields.predict(weights, cells.side) - 1

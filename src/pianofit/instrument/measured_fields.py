@@ -42,7 +42,8 @@ VELOCITIES = np.geomspace(0.25, 4.0, 9)
 # Standard deviation of the logarithm of the contact time of a hammer of the laws: fits of neighbouring keys differ so.
 DURATION_SD = 0.15
 # Durations over that of the hammer of the laws, and their weights (Gauss and Hermite).
-DURATIONS, DURATION_WEIGHTS = (lambda x, w: (np.exp(DURATION_SD * x), w / w.sum()))(*hermegauss(7))
+_NODES, _WEIGHTS = (np.asarray(column) for column in hermegauss(7))
+DURATIONS, DURATION_WEIGHTS = np.exp(DURATION_SD * _NODES), _WEIGHTS / _WEIGHTS.sum()
 # Most partials of a string model.
 MOST_PARTIALS = 512
 # Frequencies at which the path of a guessed key is stated, Hz: thirds of octaves.
