@@ -134,8 +134,10 @@ def test_the_difference_of_two_hammers_is_not_a_level():
     )
     response = key.note.modal_response._replace(pattern=key.note.modal_response.pattern * law / own)
     made_up = RecordedKey(50, light._replace(modal_response=response), key.note, key.law, (at,))
-    one, other = (measure_fields([x]).cells for x in (key, made_up))
-    assert other.level == pytest.approx(one.level, abs=0.05)
+    unaware = made_up._replace(law_note=made_up.note)
+    one, other, wrong = (measure_fields([x]).cells.level for x in (key, made_up, unaware))
+    assert np.sqrt(np.mean((other - one) ** 2)) < 1.0
+    assert np.sqrt(np.mean((wrong - one) ** 2)) > 3.0
 
 
 def drive(note, response, velocity) -> np.ndarray:

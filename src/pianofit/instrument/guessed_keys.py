@@ -31,16 +31,13 @@ from .guessed_knocks import guess_knock, static_part
 from .instrument import Key
 from .key_quantities import key_quantities, note_from_quantities
 from .measured_fields import (
-    NOTHING,
     TIMES,
     VELOCITIES,
     KeyFields,
     Partials,
     RecordedKey,
     StringLaw,
-    expected_force,
     measure_fields,
-    spectrum,
     string_partials,
 )
 
@@ -55,8 +52,6 @@ LEAST = 1e-5
 FEWEST_PARTIALS = 3
 # Partials of a guessed key end half a semitone above the highest partials of the recorded keys.
 MARGIN_OCTAVES = 0.5 / 12
-# Largest change by which a force near a zero of its spectrum is filled, dB. The zero moves between the velocities.
-MOST_FILL = 10.0
 # Seed of the drawn phases. Every key has its own sequence.
 SEED = 0
 
@@ -115,22 +110,12 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     i, j = np.nonzero(share)
     pole = -RATIOS[j] * rate[i] + 2j * np.pi * string.frequency[i]
     pattern = (channels[i] * share[i, j, None]).T
-    change = fields.predict(weights, cells.change).T + _fill(note, string.frequency)
-    gain = VelocityGain(VELOCITIES, 10 ** (change[:, i] / 20) + 0j)
+    gain = VelocityGain(VELOCITIES, 10 ** (fields.predict(weights, cells.change)[i].T / 20) + 0j)
     empty = np.zeros((len(pattern), 0))
     response = ModalResponse(i + 1, pole, np.zeros(len(pole)), pattern, empty, fields.rate, gain)
     # A knock cancels the static deflection of the modes, as it does for recorded keys.
     knock = static_part(response)
     return response._replace(knock=knock if fields.knocks is None else knock + guess_knock(fields.knocks, midi))
-
-
-def _fill(note: Note, frequency: np.ndarray) -> np.ndarray:
-    """Level of the expected force over that of the key's own hammer, dB [velocities, frequencies]."""
-    spectra = [spectrum(note, v) for v in VELOCITIES]
-    expected, own = np.maximum([(expected_force(of, frequency), of(frequency)) for of in spectra], NOTHING).swapaxes(
-        0, 1
-    )
-    return np.clip(20 * np.log10(expected / own), -MOST_FILL, MOST_FILL)
 
 
 def _points(octave: np.ndarray, midi: int) -> FieldPoints:

@@ -38,10 +38,10 @@ EARLY = (TIMES > 0) & (TIMES <= 1.0)
 # Smallest early decay over that of the laws.
 LEAST_RATIO = 0.02
 # Velocities at which levels are compared, m/s: pianissimo to fortissimo.
-VELOCITIES = np.geomspace(0.25, 4.0, 9)
-# Standard deviation of the logarithm of the contact time of a hammer of the laws: fits of neighbouring keys differ so.
+VELOCITIES = np.geomspace(0.25, 4.0, 5)
+# Standard deviation of the logarithm of a contact time: by so much the fits of neighbouring keys differ.
 DURATION_SD = 0.15
-# Durations over that of the hammer of the laws, and their weights (Gauss and Hermite).
+# Durations of a contact over its own, and their weights (Gauss and Hermite).
 _NODES, _WEIGHTS = (np.asarray(column) for column in hermegauss(7))
 DURATIONS, DURATION_WEIGHTS = np.exp(DURATION_SD * _NODES), _WEIGHTS / _WEIGHTS.sum()
 # Most partials of a string model.
@@ -84,8 +84,10 @@ class RecordedKey(NamedTuple):
 
     def drive_differences(self, frequency: np.ndarray) -> np.ndarray:
         """Level of the force of the own hammer over that of the hammer of the laws, dB [velocities, frequencies]."""
-        own = [spectrum(self.note, v)(frequency) for v in self.compared_velocities]
-        law = [expected_force(spectrum(self.law_note, v), frequency) for v in self.compared_velocities]
+        own, law = (
+            np.array([expected_force(spectrum(note, v), frequency) for v in self.compared_velocities])
+            for note in (self.note, self.law_note)
+        )
         return 20 * np.log10(np.maximum(own, NOTHING) / np.maximum(law, NOTHING))
 
 
@@ -101,10 +103,10 @@ def spectrum(note: Note, velocity: float) -> Spectrum:
 
 
 def expected_force(of: Spectrum, frequency: np.ndarray) -> np.ndarray:
-    """Root mean square of the spectrum of the force of a hammer of the laws, N s [frequencies].
+    """Root mean square of the spectrum of the force of a hammer with an uncertain contact time, N s [frequencies].
 
-    The spectrum of a force has zeros, and their frequencies depend on the duration of the contact. A hammer of the laws
-    has an uncertain duration. The force of one duration would be fainter near a zero than almost any other.
+    The spectrum of a force has zeros, and their frequencies depend on the duration of the contact. The ratio of two
+    forces near their zeros says more about these than about anything that another key shares.
     """
     return np.sqrt(DURATION_WEIGHTS @ [of(frequency * ratio) ** 2 for ratio in DURATIONS])
 
