@@ -92,7 +92,7 @@ def persistent_jit(function: Callable) -> Callable:
     def call(*args):
         *trees, cfg = args
         leaves, tree = jax.tree.flatten(trees)
-        folder = jax.config.values["jax_compilation_cache_dir"] or None
+        folder = jax.config.jax_compilation_cache_dir or None  # pyright: ignore[reportAttributeAccessIssue]
         with x64_scope():
             if any(isinstance(x, Tracer) for x in leaves):
                 return jitted(*args)
