@@ -15,10 +15,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import erfcx, ndtr
 
 from ..conversions import HALF_WIDTH_95
@@ -27,6 +26,8 @@ from .objective import HYPER_REACH, Candidates, Objective
 
 # Indices of the unknown hyperparameters φ besides σ, of the tables of levels, frequencies and decays.
 HYPER = ((1, 2, 3, 4), (1, 2), (1, 2))
+# Bisections of the ends of an interval: the last is within 1e-15 of the whole range of the search.
+BISECTIONS = 50
 # Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
 SAME = 1.0
 # Curvatures across a bound below this fraction of the parameter's own curvature are rounding.
@@ -92,14 +93,14 @@ class Posterior:
         if not sd.any():
             return None
         sd = np.maximum(sd, 1e-12)
-        reach = 10 * sd.max() + np.ptp(centre)
-
-        def end(probability: float) -> float:
-            low, high = float(centre.min() - reach), float(centre.max() + reach)
-            root: Any = brentq(lambda x: float(self.weight @ ndtr((x - centre) / sd)) - probability, low, high)
-            return float(root)
-
-        return end(0.025), end(0.975)
+        reach, probability = 10 * sd.max() + np.ptp(centre), np.array([0.025, 0.975])
+        low, high = np.full(2, centre.min() - reach), np.full(2, centre.max() + reach)
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            below = ndtr((middle[:, None] - centre) / sd) @ self.weight < probability
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        first, last = (0.5 * (low + high)).tolist()
+        return first, last
 
     def value_interval(
         self, change: np.ndarray, value: float, bounds: tuple[float, float] = (-np.inf, np.inf)
