@@ -14,7 +14,7 @@ from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
-from .batched_model import LevelModel
+from .batched_model import LevelModel, compile_ahead
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .likelihood import walk_covariance
@@ -182,7 +182,9 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     string = fit_string(problem)
     progress("hammer", 0.15)
     levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
-    candidates = multistart(levels, seed, initial_point(problem, string.theta[0, :STRING_SIZE]), progress)
+    first = initial_point(problem, string.theta[0, :STRING_SIZE])
+    compile_ahead(levels.level_model, complete.level_model, first[None])
+    candidates = multistart(levels, seed, first, progress)
     progress("string and hammer", 0.75)
     minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string)
     progress("intervals", 0.88)
