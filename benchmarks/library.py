@@ -80,12 +80,13 @@ def stages(note: str, files: list[str], out: str) -> list[tuple[str, float]]:
 
 
 def stages_of_one(note: str, files: list[Path], out: Path, cache: Path) -> list[tuple[str, float]]:
-    """`stages` in a process of its own with one thread."""
-    one = dict.fromkeys(("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    """`stages` in a process like a worker, with one thread: programs compiled for other threads are others."""
+    from pianofit.batch.process_pool import one_thread
+
     arguments = [sys.executable, __file__, "--stages", note, str(out), *map(str, files)]
-    done = subprocess.run(
-        arguments, env=os.environ | one | {"PIANOFIT_CACHE": str(cache)}, capture_output=True, text=True, check=True
-    )
+    with one_thread():
+        environment = os.environ | {"PIANOFIT_CACHE": str(cache)}
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=True)
     return [tuple(pair) for pair in json.loads(done.stdout)]  # pyright: ignore[reportReturnType]
 
 
