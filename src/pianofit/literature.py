@@ -22,6 +22,7 @@ import numpy as np
 
 from .conversions import HIGHEST_KEY, LOWEST_KEY, hertz_of
 from .errors import AnalysisError, ParameterError, check_range
+from .monotone_cubic import MonotoneCubic
 from .parameters import Geometry, Hammer, String
 
 PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
@@ -308,38 +309,18 @@ TABLES: dict[str, list[tuple[float, float]]] = {"strings": STRINGS_PER_KEY} | {
 
 @cache
 def _curve(name: str) -> Callable[[float], float]:
-    """Return one table as a function of the note number: a monotone cubic between its rows, linear beyond them.
-
-    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so the cubic does not overshoot. At both ends it
-    is the slope of the adjacent interval.
-    """
+    """Return one table as a function of the note number: a monotone cubic between its rows, linear beyond them."""
     midi, values = np.array(TABLES[name]).T
     heights = values if name == "p" else np.log(values)
-    step, change = np.diff(midi), np.diff(heights) / np.diff(midi)
-    slopes = np.concatenate([change[:1], _monotone_slopes(step, change), change[-1:]])
+    within = MonotoneCubic.through(midi, heights)
 
     def at(x: float) -> float:
         inside = float(np.clip(x, midi[0], midi[-1]))
-        beyond = 0.0 if name == "tension" else slopes[0 if x < inside else -1] * (x - inside)
-        i = min(int(np.searchsorted(midi, inside, "right")), len(step)) - 1
-        t, h = (inside - midi[i]) / step[i], step[i]
-        early = (1 - t) ** 2 * ((1 + 2 * t) * heights[i] + t * h * slopes[i])
-        late = t**2 * ((3 - 2 * t) * heights[i + 1] - (1 - t) * h * slopes[i + 1])
-        height = float(early + late + beyond)
+        beyond = 0.0 if name == "tension" else within.slopes[0 if x < inside else -1] * (x - inside)
+        height = float(within(inside) + beyond)
         return height if name == "p" else math.exp(height)
 
     return at
-
-
-def _monotone_slopes(step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Slopes of PCHIP at the inner rows [rows - 2] from the distances of rows and the slopes between them [rows - 1].
-
-    A slope is the weighted harmonic mean of the two next to it, and 0 between two of opposite sign.
-    """
-    before, after, rises = change[:-1], change[1:], change[:-1] * change[1:] > 0
-    first, second = 2 * step[1:] + step[:-1], step[1:] + 2 * step[:-1]
-    total = np.where(rises, first * after + second * before, 1.0)
-    return np.where(rises, (first + second) * before * after / total, 0.0)
 
 
 def _of_the_paper(name: str, string: String, hammer: Hammer, lacks: str = "") -> Preset:
