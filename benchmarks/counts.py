@@ -19,7 +19,7 @@ import numpy as np
 COMPILED = "/jax/core/compile/backend_compile_duration"
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 # Programs that step the contact: seconds to compile, each.
-PHYSICS = ("levels", "slopes", "levels_per_string", "level_jacobians_per_string")
+PHYSICS = ("levels", "level_jacobians", "levels_per_string", "level_jacobians_per_string")
 
 
 def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:

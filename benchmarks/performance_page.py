@@ -1,13 +1,15 @@
-"""From the table's numbers to `docs/performance.md` and its picture; no number is written by hand."""
+"""From the table's numbers to the end of `docs/performance.md` and its picture; no number is written by hand."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from measuring import ratio
+from measuring import into_page, ratio
 from works import ALL_CORES, BATCHES, HAMMERS, MODES, OBJECTIVE, SLOPES, STEPS
 
+# Name of the marks of the page.
+MARK = "table"
 # Targets, by row: of the design, on two idle cores.
 CANDIDATES, OVER_PAPER, DERIVATIVES = 100_000.0, 800.0, 5.0
 COMMANDS = {"--help": 0.5, "fit": 3.0, "fit with page": 6.0, "fit, cold": 8.0, "joint fit": 7.0, "paper's recipe": 6.0}
@@ -16,14 +18,14 @@ TOO_SLOW = 4.0
 
 
 def write(document: dict[str, Any], path: Path) -> None:
-    """The page, and beside it the picture of how costs grow."""
+    """The part of the page between its marks, and beside it the picture of how costs grow."""
     picture = path.with_name(f"{path.stem}-growth.svg")
-    path.write_text(text(document, picture.name))
+    into_page(path, MARK, text(document, picture.name).splitlines())
     draw(document["growth"], picture)
 
 
 def text(document: dict[str, Any], picture: str) -> str:
-    """The page."""
+    """The part of the page that is made."""
     parts = [
         _opening(document), _side_by_side(document), _commands(document), _growth(document, picture),
         _counts(document), _kernel(document), _reasons(document), _accelerator(document),
@@ -35,7 +37,7 @@ def _opening(document: dict[str, Any]) -> str:
     m = document["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items() if version)
     busy = " **The machine was busy: these figures are too large.**" if max([0, *m["load"][:1]]) > 0.5 else ""
-    return f"""# Performance
+    return f"""## Single operations
 
 Made by `python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md`, in less than ten minutes
 on two idle cores; run it again after a change. It needs numba: `pip install -e ".[bench]"`. Times are medians of runs
@@ -98,7 +100,7 @@ def _side_by_side(document: dict[str, Any]) -> str:
     )
     best = max(size / k[name]["median"] for name, size in sized.items())
     over = max(size * ratio(one, k[name]) for name, size in sized.items())
-    return f"""## Side by side
+    return f"""### Side by side
 
 {chr(10).join(lines)}{csound}
 
@@ -125,7 +127,7 @@ def _commands(document: dict[str, Any]) -> str:
     inner = document["inner"]["strike"]["baseline"]["median"]
     evaluations = effort["evaluations"]
     gain = evaluations * inner / table["paper's recipe"]["median"]
-    return f"""## Whole commands
+    return f"""### Whole commands
 
 A made note of {effort["seconds"]:g} s; the joint fit has {effort["recordings"]} recordings of it, the paper's recipe
 {evaluations:,} evaluations by annealing on the demo's recording. Each runs in a process of its own, Python's start and
@@ -155,7 +157,7 @@ def _growth(document: dict[str, Any], picture: str) -> str:
         f"| {x['note']} | {x['rate'] / 1e3:.1f} | {x['modes']} | {x['steps']} | {x['contact_ms']:.2f} | "
         f"{1e3 * x['seconds']:.1f} |" for x in growth["notes"]
     ]  # fmt: skip
-    return f"""## How cost grows
+    return f"""### How cost grows
 
 ![Seconds over size]({picture})
 
@@ -182,7 +184,7 @@ def _counts(document: dict[str, Any]) -> str:
         if flops
         else ""
     )
-    return f"""## Counts that no machine changes
+    return f"""### Counts that no machine changes
 
 `python benchmarks/counts.py`, on a measurement of one second. `tests/test_counts.py` fails when they grow.
 
@@ -199,7 +201,7 @@ def _kernel(document: dict[str, Any]) -> str:
         if slower <= TOO_SLOW
         else f"That is beyond the factor of {TOO_SLOW:g} at which a kernel of our own is considered."
     )  # fmt: skip
-    return f"""## A compiled kernel of our own
+    return f"""### A compiled kernel of our own
 
 A batch of 64 candidates takes {slower:.2f} times as long in JAX as the same recursion compiled and run one by one on
 one core (a ratio below 1 is a gain). {verdict} A kernel of our own would need derivatives of its own, and a wheel for
@@ -213,7 +215,7 @@ def _reasons(document: dict[str, Any]) -> str:
     batches = {name: x for name, x in document["inner"]["candidates"].items() if name.endswith(ends)}
     rate = max(int(name.split()[0]) / x["median"] for name, x in batches.items())
     fastest = max(int(name.split()[0]) / x["fastest"] for name, x in batches.items())
-    return f"""## Where a target is missed, and why
+    return f"""### Where a target is missed, and why
 
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
   {shares["whole"]:.1f} s: the search for hammers {shares.get("hammer", 0.0):.1f} s, local restarts
@@ -234,13 +236,13 @@ def _reasons(document: dict[str, Any]) -> str:
 def _accelerator(document: dict[str, Any]) -> str:
     found = document["accelerator"]
     if found is None:
-        return """## On an accelerator
+        return """### On an accelerator
 
 None was present in this run. `python benchmarks/accelerator.py` runs there unchanged: candidates a second for growing
 batches, and the largest batch before memory ends; where JAX finds one it becomes part of this page."""
     lines = ["| batch | candidates a second |", "|---|---|"]
     lines += [f"| {int(size):,} | {rate:,.0f} |" for size, rate in found["rates"].items()]
-    return f"""## On an accelerator
+    return f"""### On an accelerator
 
 {found["device"]}, float64, no code of its own. The largest batch was {found["largest batch"]:,}; what ended it was
 {found["ended by"]}.

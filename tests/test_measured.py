@@ -270,7 +270,7 @@ def test_the_density_of_the_draws_is_that_of_f_at_another_length():
     theta = u.project(u.mean + 0.5 * u.sd * (np.arange(u.size) >= u.velocities.stop))
     start = objective.start(theta[None], [np.asarray(term.table.prior[0]) for term in objective.terms])
     minima = Minima(start, objective.total(start), np.ones(1, bool))
-    at = density_context(problem, Estimate(minima, laplace(objective, minima), 0))
+    at = density_context(problem, Estimate(*laplace(objective, minima), 0))
     point = random_start(at, jax.random.PRNGKey(0), 0.0)
     value, slope = jax.jit(jax.value_and_grad(lambda x: log_density(at, x, problem.cfg)))(point)
     assert float(value) == pytest.approx(-minima.nll[0], rel=1e-9)

@@ -260,7 +260,7 @@ def known_excess() -> tuple[FitProblem, Estimate]:
     objective = Objective.complete(problem)
     candidates = minimise(objective, objective.start(best.theta, best.phi, best.w, best.offset), Options(60))
     minima = minima._replace(candidates=candidates, nll=objective.total(candidates))
-    return problem, Estimate(minima, laplace(objective, minima), 0)
+    return problem, Estimate(*laplace(objective, minima), 0)
 
 
 @pytest.mark.slow

@@ -14,12 +14,13 @@ from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
 from .setup import Measured, RecordingInfo, Setup, to_setup
-from .threads import check_process, cores
+from .threads import check_process, cores, one_blas_thread
 
 if TYPE_CHECKING:
     from .result import Result
 
 
+@one_blas_thread()
 def fit(
     *recordings: Source,
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
@@ -94,6 +95,7 @@ def fit(
         return fit_modal_response(build_result(inference), report)
 
 
+@one_blas_thread()
 def analyse_all(
     recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None
 ) -> list[Analysis]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from .conversions import HIGHEST_KEY, LOWEST_KEY, hertz_of
 from .errors import AnalysisError, ParameterError, check_range
+from .monotone_cubic import MonotoneCubic
 from .parameters import Geometry, Hammer, String
 
 PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
@@ -308,22 +309,14 @@ TABLES: dict[str, list[tuple[float, float]]] = {"strings": STRINGS_PER_KEY} | {
 
 @cache
 def _curve(name: str) -> Callable[[float], float]:
-    """Return one table as a function of the note number: a monotone cubic between its rows, linear beyond them.
-
-    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so the cubic does not overshoot. At both ends it
-    is the slope of the adjacent interval.
-    """
-    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
-
+    """Return one table as a function of the note number: a monotone cubic between its rows, linear beyond them."""
     midi, values = np.array(TABLES[name]).T
     heights = values if name == "p" else np.log(values)
-    slopes = PchipInterpolator(midi, heights).derivative()(midi)
-    slopes[[0, -1]] = (np.diff(heights) / np.diff(midi))[[0, -1]]
-    within = CubicHermiteSpline(midi, heights, slopes)
+    within = MonotoneCubic.through(midi, heights)
 
     def at(x: float) -> float:
         inside = float(np.clip(x, midi[0], midi[-1]))
-        beyond = 0.0 if name == "tension" else slopes[0 if x < inside else -1] * (x - inside)
+        beyond = 0.0 if name == "tension" else within.slopes[0 if x < inside else -1] * (x - inside)
         height = float(within(inside) + beyond)
         return height if name == "p" else math.exp(height)
 

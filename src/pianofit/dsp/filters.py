@@ -126,10 +126,12 @@ def _decaying_sum(x: np.ndarray, log_pole: np.ndarray, residue: np.ndarray) -> n
     response = np.append((residue @ power[:, :BLOCK]).real, np.zeros(BLOCK))
     out = rows @ np.stack([np.roll(response, i)[:BLOCK] for i in range(BLOCK)])
     reverse = power[:, BLOCK - 1 :: -1]
-    real, imag = rows @ reverse.real.T, rows @ reverse.imag.T
-    state, states = np.zeros(len(residue), complex), np.empty((len(rows), len(residue)), complex)
-    for i, end in enumerate(real + 1j * imag):
-        states[i] = state
-        state = power[:, BLOCK] * state + end
-    out += ((states * residue) @ power[:, 1:]).real
+    states = np.zeros((len(rows) + 1, len(residue)), complex)
+    states[1:] = rows @ reverse.real.T + 1j * (rows @ reverse.imag.T)
+    # A state is the sum of the ends of all earlier blocks, each decayed: sums over 2, 4, 8 and so on blocks.
+    decay, reach = power[:, BLOCK], 1
+    while reach < len(states):
+        states[reach:] += decay * states[:-reach]
+        decay, reach = decay**2, 2 * reach
+    out += ((states[:-1] * residue) @ power[:, 1:]).real
     return out.reshape(-1)[: len(x)]

@@ -7,7 +7,9 @@ so all fits share the same compiled programs.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -249,6 +251,26 @@ class LevelModel:
     def _by_recording(self, rows: np.ndarray) -> np.ndarray:
         """Select every recording's columns [B, R, K, ...] from the model's rows [B · strokes, rows, ...]."""
         return rows.reshape(-1, len(self.cents), *rows.shape[1:])[:, self.stroke][:, :, self.columns]
+
+
+def compile_ahead(searched: LevelModel, complete: LevelModel, theta: np.ndarray) -> None:
+    """Compile or load the programs of a search in the background, in the order in which it needs them.
+
+    XLA compiles on one core. A search that is the first to need a program waits for it.
+
+    Parameters
+    ----------
+    searched, complete : the model with a fixed string, and that with a string of its own for each θ.
+    theta : any θ [1, size].
+    """
+
+    def run() -> None:
+        for evaluate in (searched.level_jacobians, searched.discretisation_error_db, complete.level_jacobians):
+            with contextlib.suppress(Exception):  # the search meets the same error, and reports it
+                evaluate(theta)
+
+    if cores() > 1:
+        threading.Thread(target=run).start()
 
 
 def level_slopes(problem: FitProblem) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
-from .batched_model import LevelModel
+from .batched_model import LevelModel, compile_ahead
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .likelihood import walk_covariance
@@ -25,8 +25,6 @@ from .parametrisation import STRING_SIZE
 from .problem import FitProblem, build_problem
 from .profile import profiles
 
-# Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
-SAME = 1.0
 # Minima whose posterior mass is smaller by more than this, in logarithms, have no weight: exp(-6) is a quarter of a
 # percent.
 WITHIN = 6.0
@@ -184,12 +182,14 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     string = fit_string(problem)
     progress("hammer", 0.15)
     levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
-    candidates = multistart(levels, seed, initial_point(problem, string.theta[0, :STRING_SIZE]), progress)
+    first = initial_point(problem, string.theta[0, :STRING_SIZE])
+    compile_ahead(levels.level_model, complete.level_model, first[None])
+    candidates = multistart(levels, seed, first, progress)
     progress("string and hammer", 0.75)
     minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string)
     progress("intervals", 0.88)
     strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
-    return Estimate(*_deduplicate(minima, laplace(complete, minima)), strokes)
+    return Estimate(*laplace(complete, minima), strokes)
 
 
 def fit_string(problem: FitProblem) -> Candidates:
@@ -267,23 +267,3 @@ def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w
         candidates = candidates.put(active, minimised(some.theta, some.phi, some.w))
     left = np.minimum(candidates.last_decrease, predicted_decrease(objective, candidates))
     return Minima(candidates, objective.total(candidates), left < NEARLY)
-
-
-def _deduplicate(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:
-    """Remove minima within the width of a lower one, whose Gaussian contains them; sort by posterior weight.
-
-    The lowest minimum need not have the largest weight, because a narrow one holds little of the posterior. In the
-    treble, narrow minima are lobes of the pulse's spectrum. There a few levels can agree to a tenth of a dB at a wrong
-    velocity.
-    """
-    sd = np.sqrt(np.maximum(np.einsum("bii->bi", posterior.covariance), 0.0))
-    kept: list[int] = []
-    for i in np.argsort(minima.nll, kind="stable"):
-        distances = [
-            (np.abs(posterior.mean[i] - posterior.mean[j]) / np.where(sd[j] > 0, sd[j], np.inf)).max() for j in kept
-        ]
-        if min(distances, default=np.inf) > SAME:
-            kept.append(int(i))
-    order = np.array(kept)[np.argsort(-posterior.weight[kept], kind="stable")]
-    weight = posterior.weight[order] / posterior.weight[order].sum()
-    return minima.take(order), Posterior(posterior.mean[order], posterior.covariance[order], weight)

@@ -277,33 +277,33 @@ def _best_velocities(
     starts : initial velocities [S, strokes].
     """
     count, V, _, K = residual.shape
-    Q, strokes = surrogate.dense(), range(costs.shape[1])
+    strokes, S = range(costs.shape[1]), np.arange(count)
     recordings = [np.flatnonzero(stroke == s) for s in strokes]
     T = [residual[:, :, r].reshape(count, V, -1) for r in recordings]
-    # The surrogate is a sum over strokes and over pairs of strokes: tables of it [S, V] and [S, V, V].
-    own, pair = costs.copy(), {}
-    for s, first in enumerate(recordings):
-        for t, second in enumerate(recordings[: s + 1]):
-            size = len(first) * K, len(second) * K
-            weighted = T[s].reshape(-1, size[0]) @ Q[np.ix_(first, np.arange(K), second)].reshape(size)
-            weighted = weighted.reshape(count, V, -1)
-            if s == t:
-                own[:, s] += 0.5 * (weighted * T[s]).sum(axis=2)
-            else:
-                pair[s, t] = weighted @ T[t].swapaxes(1, 2)
-                pair[t, s] = pair[s, t].swapaxes(1, 2)
-    S = np.arange(count)
+    dense, partials = surrogate.dense(), np.arange(K)
+    Q = [[dense[np.ix_(r, partials, t)].reshape(len(r) * K, -1) for t in recordings] for r in recordings]
+    own = costs.copy()  # the part of each stroke alone, at every velocity
+    for s in strokes:
+        flat = T[s].reshape(count * V, -1)
+        own[:, s] += 0.5 * ((flat @ Q[s][s]) * flat).sum(axis=1).reshape(count, V)
     best, chosen = np.full(count, np.inf), np.zeros((count, len(strokes)), int)
     for start in starts:
         v = start.copy()
+        at = [T[s][S, v[:, s]] for s in strokes]
+
+        def of_others(s: int, at: list[np.ndarray] = at) -> np.ndarray:
+            """Derivative of the surrogate by the residuals of a stroke through those of all others [S, entries]."""
+            return sum((at[t] @ Q[t][s] for t in strokes if t != s), np.zeros_like(at[s]))
+
         for _ in range(8):  # at most: it ends when no velocity changes
             before = v.copy()
             for s in strokes:
-                v[:, s] = (own[:, s] + sum(pair[t, s][S, v[:, t]] for t in strokes if t != s)).argmin(axis=1)
+                v[:, s] = (own[:, s] + (T[s] @ of_others(s)[..., None])[..., 0]).argmin(axis=1)
+                at[s] = T[s][S, v[:, s]]
             if (v == before).all():
                 break
         cost = own[S[:, None], np.arange(len(strokes)), v].sum(axis=1)
-        cost += sum(pair[s, t][S, v[:, s], v[:, t]] for s in strokes for t in range(s))
+        cost += 0.5 * sum((at[s] * of_others(s)).sum(axis=1) for s in strokes)
         better = cost < best
         best[better], chosen[better] = cost[better], v[better]
     return best, chosen

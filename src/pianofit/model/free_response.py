@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -25,6 +24,7 @@ from .contact import impulse_amplitude
 from .damped_sums import sum_damped_exponentials, z_transform
 from .free_motion import FreeMotion
 from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
+from .program_cache import persistent_jit
 
 # Largest exponent: exp of this, and its square, are finite.
 MAX_EXPONENT = 300.0
@@ -204,7 +204,7 @@ def waveform(
     """
     ratio = _ratio(modes, rate, oversampling)
     drive = np.zeros(1) if drive is None else drive
-    arrays = (modes.pole, drive, *_pickup_amplitudes(modes, drive, free))
+    arrays = (modes.pole, drive, *_pickup_amplitudes(modes, drive, free, None))
     xp = jnp if any(isinstance(x, Tracer) for x in arrays) else np
     pole, drive, *amplitudes = map(xp.asarray, arrays)
     unit, amplitude, *release = (x * (xp.abs(xp.imag(pole)) < xp.pi * rate) for x in amplitudes)
@@ -237,8 +237,8 @@ def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
     return ratio
 
 
-@jax.jit
-def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None) -> tuple[Array, ...]:
+@persistent_jit
+def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None, _: None) -> tuple[Array, ...]:
     """Amplitudes at the pickup after a unit `T` at step 0, after the whole pulse, and of `free` alone [modes]."""
     amplitudes = (modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free))
     return amplitudes if free is None else (*amplitudes, modes.free_pickup * free.amplitude)

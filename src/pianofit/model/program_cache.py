@@ -25,6 +25,13 @@ from ..x64 import x64_scope
 # Number of shapes per function whose programs stay in memory: those of one fit. A program takes some hundred memory
 # mappings, and Linux allows 65,530 per process: without this limit a process would fail after some twenty notes.
 MAX_LOADED = 4
+# Options of XLA. A program runs once or some hundred times for a few milliseconds, so its compilation counts most. With
+# the older emitters of loops, with basic optimisation and in one part it takes two fifths of the time, at equal speed.
+COMPILER_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_backend_optimization_level": 1,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
 
 
 def cache_folder() -> Path:
@@ -75,7 +82,7 @@ def persistent_jit(function: Callable) -> Callable:
         whole = jax.jit(lambda *x: function(*jax.tree.unflatten(tree, x), cfg))
         leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
         if folder is None:
-            return whole.lower(*leaves).compile()
+            return _compiled(whole.lower(*leaves))
         key = (cfg, tree, *shapes)
         digest = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
         file = Path(folder) / f"pianofit-{function.__name__}-{digest.hexdigest()}.program"
@@ -85,7 +92,7 @@ def persistent_jit(function: Callable) -> Callable:
     def call(*args):
         *trees, cfg = args
         leaves, tree = jax.tree.flatten(trees)
-        folder = jax.config.values["jax_compilation_cache_dir"] or None
+        folder = jax.config.jax_compilation_cache_dir or None  # pyright: ignore[reportAttributeAccessIssue]
         with x64_scope():
             if any(isinstance(x, Tracer) for x in leaves):
                 return jitted(*args)
@@ -109,14 +116,22 @@ def _program(file: Path, function: Any, leaves: list[jax.ShapeDtypeStruct]) -> C
     with contextlib.suppress(OSError):
         digest, content = (stored := file.read_bytes())[:32], stored[32:]
         if hashlib.sha256(content).digest() == digest:
-            return jax.jit(export.deserialize(bytearray(content)).call).lower(*leaves).compile()
+            return _compiled(jax.jit(export.deserialize(bytearray(content)).call).lower(*leaves))
     traced = export.export(function)(*leaves)
     content = traced.serialize()
     unfinished = file.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
     with contextlib.suppress(OSError):
         unfinished.write_bytes(hashlib.sha256(content).digest() + content)
         unfinished.replace(file)
-    return jax.jit(traced.call).lower(*leaves).compile()
+    return _compiled(jax.jit(traced.call).lower(*leaves))
+
+
+def _compiled(lowered: Any) -> Callable:
+    """Compile with `COMPILER_OPTIONS`, or without them if this version of XLA or its device does not have them."""
+    try:
+        return lowered.compile(COMPILER_OPTIONS if jax.default_backend() == "cpu" else None)
+    except jax.errors.JaxRuntimeError:
+        return lowered.compile()
 
 
 @functools.cache

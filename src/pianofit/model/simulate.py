@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError, check_range
-from ..felt import check_hammer
+from ..felt import FeltLaw, check_hammer, law_of
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check
 from ..x64 import float64
@@ -18,6 +16,7 @@ from .contact import Pulse, strike
 from .free_motion import FreeMotion, free_motion
 from .free_response import waveform
 from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
+from .program_cache import persistent_jit
 
 # The error is of second order in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
 MIN_CONTACT_RATE = 88_000.0
@@ -127,11 +126,32 @@ def count_modes(string: String, geometry: Geometry, rate: float) -> int:
     return min(MAX_MODES, 64 * int(np.ceil(below / 64)))
 
 
-@partial(jax.jit, static_argnames=("steps", "n_modes", "quantity", "kind"))
-def _strike(string, hammer, geometry, rate, weights, start, *, steps, **table):
-    modes = mode_table(string, geometry, rate=rate, strike_weights=weights, **table)
+class _StrikeConfig(NamedTuple):
+    """Static arguments of `_strike`."""
+
+    n_modes: int
+    steps: int
+    quantity: str
+    kind: str
+    law: FeltLaw
+
+
+@persistent_jit
+def _strike(string, hammer, geometry, rate, weights, start, cfg: _StrikeConfig):
+    """The table, the pulse, and the free motion before it, as one tuple of arrays."""
+    table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity, "kind": cfg.kind}
+    modes = mode_table(String(*string), Geometry(*geometry), strike_weights=weights, **table)
     free = None if start is None else free_motion(modes, *start)
-    return modes, strike(modes, hammer, steps=steps, free=free), free
+    pulse = strike(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, free=free)
+    return (*modes, *pulse, *(() if free is None else free))
+
+
+def _simulation(arrays: Any) -> Simulation:
+    """The result of `_strike` as a `Simulation`."""
+    parts = [np.asarray(x) for x in arrays]
+    table, pulse = len(Modes._fields), len(Modes._fields) + len(Pulse._fields)
+    free: Any = parts[pulse:]
+    return Simulation(Modes(*parts[:table]), Pulse(*parts[table:pulse]), FreeMotion(*free) if free else None)  # pyright: ignore[reportArgumentType]
 
 
 @float64
@@ -190,18 +210,18 @@ def simulate(
         if np.abs(points - float(geometry.strike_position)).min() >= width / 2:
             raise ParameterError(f"width={width} m: none of the {n_modes} grid points lies within it")
     # One type for all numbers: JAX compiles again for every other type.
-    string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))
-    geometry = Geometry(*map(np.float64, geometry))
+    values = tuple(tuple(map(np.float64, part)) for part in (string, hammer, geometry))
     step_rate = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
     rows = n_modes or count_modes(string, geometry, step_rate)
     start = None
     if displacement is not None or velocity is not None:
         start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
-    traced, steps = (string, hammer, geometry, step_rate, strike_weights, start), FIRST_STEPS
+    steps = FIRST_STEPS
     while steps <= MAX_STEPS:
-        done = Simulation(*_strike(*traced, n_modes=rows, steps=steps, quantity=quantity, kind=kind))
+        cfg = _StrikeConfig(rows, steps, quantity, kind, law_of(hammer))
+        done = _simulation(_strike(*values, step_rate, strike_weights, start, cfg))
         if done.pulse.contact_ended:
-            return jax.tree.map(np.asarray, done)
+            return done
         steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "

@@ -12,7 +12,6 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from scipy.optimize import fminbound
 
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
@@ -198,6 +197,8 @@ def _fit_velocity(
         raise FitError("no velocity gives a finite sound; check that the fit is of the same key")
     best = int(np.argmin(value))
     bracket = grid[[max(best - 1, 0), min(best + 1, len(grid) - 1)]]
+    from scipy.optimize import fminbound  # only predictions need it
+
     log_velocity: Any = fminbound(lambda x: min(cost(np.array([x]))[0][0], ENDLESS_CONTACT_COST), *bracket, xtol=1e-4)
     _, (level,), (gain,) = cost(np.array([log_velocity]))
     return float(np.exp(log_velocity)), level, float(gain)
