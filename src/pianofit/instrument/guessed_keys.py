@@ -4,8 +4,8 @@ A key that was never recorded takes the predictions of the fields (`measured_fie
 
     frequency   of the string model
     level       of the string model, struck by the hammer of the laws, plus the predicted level
-    decay       the predicted decay curve, dB over time in units of the decay of the laws. It is a sum of exponentials
-                with positive amplitudes: it keeps prompt sound and aftersound, without beats of single partials
+    decay       the predicted decay curve, dB over time in units of the decay of the laws. It is a sum of two
+                exponentials: it keeps prompt sound and aftersound, without beats of single partials
     channels    phases and differences of channels as predicted, where neighbouring partials and keys agree; the rest is
                 drawn
 
@@ -19,7 +19,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ..conversions import HALF_WIDTH_95, LOWEST_KEY
 from ..dsp.level import level_energy
@@ -44,10 +43,9 @@ from .measured_fields import (
 # Quantities of the hammer, which the laws replace in a recorded key.
 HAMMER = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
 # Decay rates of the exponentials, over that of the laws.
-RATIOS = np.geomspace(0.02, 200, 21)
-# Curves are compared down to this level below their start, dB. Exponentials below this amplitude ratio are discarded.
+RATIOS = np.geomspace(0.02, 200, 41)
+# Curves are compared down to this level below their start, dB.
 DOWN = 60.0
-LEAST = 1e-5
 # Fewest partials of a guessed key.
 FEWEST_PARTIALS = 3
 # Partials of a guessed key end half a semitone above the highest partials of the recorded keys.
@@ -148,9 +146,22 @@ def _complex_normal(random: np.random.Generator, shape: tuple[int, ...]) -> np.n
 
 
 def _exponentials(curve: np.ndarray) -> np.ndarray:
-    """Non-negative amplitudes [ratios] of exponentials that fit a curve, dB [times], with least relative error."""
+    """Amplitudes [ratios], at most two of them above 0, of exponentials that fit a curve, dB [times].
+
+    The two are those with the least relative error: prompt sound and aftersound.
+    """
     used = curve > curve[0] - DOWN
     amplitude = 10 ** (curve[used] / 20)
     parts = np.exp(-np.outer(TIMES[used], RATIOS)) / amplitude[:, None]
-    found, _ = nnls(parts, np.ones(len(amplitude)), maxiter=100 * len(RATIOS))
-    return np.where(found > LEAST * found.max(), found, 0.0)
+    gram, right = parts.T @ parts, parts.sum(axis=0)
+    own, i, j = np.diag(gram), *np.triu_indices(len(RATIOS), 1)
+    pair = np.stack([right[i] * own[j] - right[j] * gram[i, j], right[j] * own[i] - right[i] * gram[i, j]])
+    pair = pair / (own[i] * own[j] - gram[i, j] ** 2)
+    # The squared error is the number of times minus this.
+    explained = np.where((pair >= 0).all(axis=0), right[i] * pair[0] + right[j] * pair[1], -np.inf)
+    single, best, found = right**2 / own, int(np.argmax(explained)), np.zeros(len(RATIOS))
+    if explained[best] > single.max():
+        found[[i[best], j[best]]] = pair[:, best]
+    else:
+        found[np.argmax(single)] = (right / own)[np.argmax(single)]
+    return found
