@@ -4,9 +4,13 @@
     python benchmarks/subsets_study.py --laws hunt-crossley,soft-skin --notes C4,Ds1 --seeds 0,1,2
 
 The recordings are those of `crossval.py`. Every subset without two of a key's layers is fitted. A parameter of a subset
-agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data, so the variance of
-the difference of two Gaussian posterior means is the difference of their variances. The standardised difference z uses
-that variance, but at least `LEAST_SHARE` of the subset's.
+agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data. Given the subset, the
+posterior mean m of a parameter therefore is a martingale, and by the law of total variance
+
+    E[(m_all - m_subset)² | subset] = v_subset - E[v_all | subset],        v the posterior variance.
+
+Both sides are divided by v_subset, which the subset knows, and summed over subsets. The root of their ratio is z. It is
+1 for posteriors that are right, and it needs no difference of two variances of one subset.
 
 Parameters are p, μ, M_H, x0, those of the string, and the ratios of velocities. An unknown scale of the velocities
 moves μ, so μ v is compared, with the velocity v of the first layer in both. K_H, whose unit changes with p, is not
@@ -34,8 +38,6 @@ if TYPE_CHECKING:
 
 FEWEST_LAYERS = 4
 LEFT_OUT = 2
-# A subset with almost all of the information differs by almost nothing: z would be rounding.
-LEAST_SHARE = 0.1
 # Standard deviations of a logarithm above which a parameter says nothing to compare.
 UNKNOWN = 0.7
 STRING = ("c", "kappa", "b1", "b2")
@@ -111,24 +113,31 @@ def study(job: Job) -> dict[str, Any]:
             whole = values(everything, names, of).get(name)
             if whole is None or min(one.sd, whole.sd) > UNKNOWN:
                 continue
-            sd = np.sqrt(max(one.sd**2 - whole.sd**2, LEAST_SHARE * one.sd**2))
             overlap = one.low <= whole.high and whole.low <= one.high
-            kind = name.split()[0]
-            rows.append({"parameter": kind, "z": float((one.mean - whole.mean) / sd), "overlap": bool(overlap)})
+            rows.append(
+                {
+                    "parameter": name.split()[0],
+                    "layers": names,
+                    "change": (whole.mean - one.mean) / one.sd,
+                    "variance_left": (whole.sd / one.sd) ** 2,
+                    "overlap": bool(overlap),
+                }
+            )
     whole = {name: list(value) for name, value in values(everything, of, of).items()}
     return {"key": job.key, "law": job.law, "seed": job.seed, "all": whole, "rows": rows}
 
 
 def table(results: list[dict[str, Any]], law: str) -> str:
-    """Shares of overlapping intervals and rms z by parameter."""
+    """Shares of overlapping intervals, z and the largest change by parameter."""
     rows = [row for result in results if result["law"] == law for row in result["rows"]]
-    lines = [f"{law}: parameter   compared   overlap   rms z   worst z"]
+    lines = [f"{law}: parameter   compared   overlap       z   largest change, sd of the subset"]
     for name in [*dict.fromkeys(row["parameter"] for row in rows), "all"]:
         own = [row for row in rows if name in (row["parameter"], "all")]
-        z = np.array([row["z"] for row in own])
+        change = np.array([row["change"] for row in own])
+        expected = np.sum([1 - row["variance_left"] for row in own])
         share = np.mean([row["overlap"] for row in own])
-        rms, worst = np.sqrt(np.mean(z**2)), np.abs(z).max()
-        lines.append(f"{name:>22} {len(own):10d} {100 * share:8.1f} % {rms:7.2f} {worst:9.1f}")
+        z = np.sqrt(np.sum(change**2) / expected) if expected > 0 else np.nan
+        lines.append(f"{name:>22} {len(own):10d} {100 * share:8.1f} % {z:7.2f} {np.abs(change).max():9.1f}")
     return "\n".join(lines)
 
 
