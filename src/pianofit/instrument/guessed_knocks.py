@@ -2,9 +2,9 @@
 
 The knock of a recorded key contains the part that cancels the static deflection of its modes. The rest is what
 soundboard, frame and key sound like when the string is struck. Its energy in bands of frequency and frames of time,
-per unit of the force of the hammer of the laws, is a smooth function of the key. The waveform is a mixture of those of
-the two nearest recorded keys, scaled to this energy in every cell. A noise with drawn phases would have no sharp
-beginning.
+per unit of the force of the hammer of the laws, is a smooth function of the key. The waveform is noise with this
+energy in every cell, from the contact on. The waveform of a recorded knock would not do: it holds traces of the
+partials of its own key, which would sound on every other key.
 """
 
 from __future__ import annotations
@@ -24,6 +24,14 @@ KNOCK_S = 0.4
 WINDOW_S, HOP_S = 0.02, 0.005
 # Edges of the bands, Hz: half octaves.
 EDGES = 20.0 * 2 ** (np.arange(21) / 2)
+# Bands with fewer bins have the mean of their energy. Others have the median, which traces of partials do not raise.
+FEW_BINS = 6
+# Median of the power of a Gaussian noise over its mean.
+MEDIAN_OVER_MEAN = math.log(2)
+# Duration of the beginning of a knock before the contact, s: its frames are longer, and would spread it.
+BEGINNING_S = 0.001
+# Seed of the noise. All keys have the same, so neighbours sound alike.
+SEED = 0
 # Range of the energies, dB below the loudest cell of the knock. Fainter cells are rounding.
 RANGE = 80.0
 
@@ -32,7 +40,8 @@ class KnockFields(NamedTuple):
     """Knocks of the recorded keys."""
 
     keys: np.ndarray  # MIDI numbers [keys]
-    rest: np.ndarray  # waveforms, file units per N s, from `PRE_ONSET_S` before the contact [keys, channels, samples]
+    correlation: float  # of the waveforms of two channels
+    samples: int  # of a knock, from `PRE_ONSET_S` before the contact
     energy: np.ndarray  # dB [keys, channels, bands, frames]
     shape: FieldShape  # of the energy over frequency and key
     rate: int  # Hz
@@ -70,7 +79,7 @@ def measure_knocks(
         rest.append(gain * np.resize(knock - static, (channels, static.shape[1])))
     waves = np.array(rest)
     energy = np.array([_energy(wave, rate) for wave in waves])
-    return KnockFields(keys, waves, energy, _shape(keys, energy), rate)
+    return KnockFields(keys, _correlation(waves), waves.shape[-1], energy, _shape(keys, energy), rate)
 
 
 def _shape(keys: np.ndarray, energy: np.ndarray) -> FieldShape:
@@ -93,31 +102,39 @@ def _bands(transform: ShortTimeFFT) -> np.ndarray:
 
 
 def _energy(wave: np.ndarray, rate: int) -> np.ndarray:
-    """Mean energy of the bins in bands and frames, dB [channels, bands, frames]."""
+    """Typical energy of the bins in bands and frames, dB [channels, bands, frames]."""
     transform = _transform(rate)
-    power = np.abs(transform.stft(wave)) ** 2
-    band = _bands(transform)
-    total = np.zeros((len(wave), len(EDGES) - 1, power.shape[-1]))
-    for i, b in enumerate(band):
-        total[:, b] += power[:, i]
-    mean = total / np.maximum(np.bincount(band, minlength=len(EDGES) - 1), 1)[:, None]
-    return 10 * np.log10(np.maximum(mean, mean.max() * 10 ** (-RANGE / 10)))
+    power, band = np.abs(transform.stft(wave)) ** 2, _bands(transform)
+    energy = np.zeros((len(wave), len(EDGES) - 1, power.shape[-1]))
+    for b in np.unique(band):
+        inside = power[:, band == b]
+        few = inside.shape[1] < FEW_BINS
+        energy[:, b] = inside.mean(axis=1) if few else np.median(inside, axis=1) / MEDIAN_OVER_MEAN
+    return 10 * np.log10(np.maximum(energy, energy.max() * 10 ** (-RANGE / 10)))
+
+
+def _correlation(waves: np.ndarray) -> float:
+    """Mean correlation of the channels with their mean, squared; 1 for one channel."""
+    mono = waves.mean(axis=1, keepdims=True)
+    power = np.sum(waves**2, axis=-1) * np.sum(mono**2, axis=-1)
+    return float(np.mean(np.sum(waves * mono, axis=-1) ** 2 / np.maximum(power, 1e-300)))
 
 
 def guess_knock(knocks: KnockFields, midi: int) -> np.ndarray:
     """Return the knock of a key without its static part [channels, samples]."""
     mean = knocks.energy.mean(axis=0)
     wanted = mean + np.tensordot(knocks.weights(midi), knocks.energy - mean, 1)
-    wave = _mixture(knocks, midi)
+    noise = _noise(knocks, len(mean))
     transform = _transform(knocks.rate)
-    factor = 10 ** ((wanted - _energy(wave, knocks.rate)) / 20)
-    shaped = transform.stft(wave) * factor[:, _bands(transform)]
-    return np.real(transform.istft(shaped, k1=wave.shape[-1]))
+    band = _bands(transform)
+    shaped = transform.stft(noise) * 10 ** (wanted[:, band] / 20) / math.sqrt(np.sum(transform.win**2))
+    wave = np.real(transform.istft(shaped, k1=knocks.samples))
+    before = (np.arange(knocks.samples) - round(PRE_ONSET_S * knocks.rate)) / (BEGINNING_S * knocks.rate)
+    return wave * np.clip(1 + before, 0.0, 1.0)
 
 
-def _mixture(knocks: KnockFields, midi: int) -> np.ndarray:
-    """Return a mixture of the knocks of the nearest keys on both sides [channels, samples]."""
-    place = float(np.interp(midi, knocks.keys, np.arange(len(knocks.keys))))
-    low, high, share = math.floor(place), math.ceil(place), place % 1
-    one, other = (wave / max(float(np.sqrt(np.mean(wave**2))), 1e-300) for wave in knocks.rest[[low, high]])
-    return math.sqrt(1 - share) * one + math.sqrt(share) * other
+def _noise(knocks: KnockFields, channels: int) -> np.ndarray:
+    """White noise of power 1, with the correlation of the recorded channels [channels, samples]."""
+    random = np.random.default_rng(SEED)
+    common, own = random.normal(size=knocks.samples), random.normal(size=(channels, knocks.samples))
+    return math.sqrt(knocks.correlation) * common + math.sqrt(max(1 - knocks.correlation, 0.0)) * own
