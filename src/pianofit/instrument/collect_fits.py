@@ -171,6 +171,11 @@ def _load_key(file: Path) -> KeyFit:
                 f"{name}: minima[{i}] must have velocities above 0, m/s, and the parameters "
                 f"{', '.join(sorted(missing)) or 'of a fit'}; give the file that pianofit fit wrote"
             )
+        if minimum.covariance is not None and not minimum.covariance.is_valid:
+            raise FitError(
+                f"{name}: minima[{i}].covariance must be a finite symmetric matrix without negative eigenvalues; give "
+                "the file that pianofit fit wrote"
+            )
     # The note has the output path of the reference recording, and a gain belongs to a path.
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
     gain = max(same_path, key=lambda recording: recording.v_H0).gain

@@ -247,11 +247,12 @@ class Covariance:
     def __post_init__(self) -> None:
         if self.matrix.shape != (len(self.names),) * 2:
             raise ValueError("Expected a square matrix with a row for each name")
-        if not np.isfinite(self.matrix).all() or not self._is_positive():
-            raise ValueError("Expected a symmetric matrix of finite numbers without negative eigenvalues")
 
-    def _is_positive(self) -> bool:
-        """True if the matrix is symmetric and has no negative eigenvalue, apart from rounding errors."""
+    @property
+    def is_valid(self) -> bool:
+        """True if the matrix is finite and symmetric and has no negative eigenvalue, apart from rounding errors."""
+        if not np.isfinite(self.matrix).all() or np.diag(self.matrix).min(initial=0.0) < 0:
+            return False
         sd = np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
         unit = self.matrix / np.outer(*(np.where(sd > 0, sd, 1.0),) * 2)
         return bool(np.allclose(unit, unit.T, atol=PSD_ROUNDING) and np.linalg.eigvalsh(unit).min() > -PSD_ROUNDING)
