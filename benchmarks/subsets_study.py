@@ -4,8 +4,8 @@
     python benchmarks/subsets_study.py --laws hunt-crossley,soft-skin --notes C4,Ds1 --seeds 0,1,2
 
 The recordings are those of `crossval.py`. Every subset without two of a key's layers is fitted. A parameter of a subset
-agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data. Given the subset, the
-posterior mean m of a parameter therefore is a martingale, and by the law of total variance
+agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data. Given the subset,
+the posterior mean m of a parameter therefore is a martingale, and by the law of total variance
 
     E[(m_all - m_subset)² | subset] = v_subset - E[v_all | subset],        v the posterior variance.
 
