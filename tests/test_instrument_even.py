@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 from pianofit.cli import app
 from pianofit.errors import ParameterError
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
-from pianofit.instrument.evened_keys import brightness, cell_loudness, decay_factor, leave_out, with_decay, with_knock
+from pianofit.instrument.evened_keys import brightness, decay_factor, predict_key, with_decay, with_knock
 from pianofit.instrument.guessed_keys import recorded_keys
 from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.key_quantities import stroke_level
-from pianofit.instrument.measured_fields import RecordedKey, StringLaw, early_ratio, measure_fields
+from pianofit.instrument.measured_fields import TIMES, RecordedKey, StringLaw, early_ratio, measure_fields
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry, encode_knock
 
@@ -72,16 +72,15 @@ def test_the_level_moves_to_the_law(pianos):
 
 
 def test_decay_and_brightness_are_predicted_at_1(pianos):
-    """The key, measured again, has a mean log decay ratio and a slope of 0 over the prediction of the others."""
+    """The key, measured again, has a mean log decay ratio and a slope of 0 over the prediction."""
     before = recorded_keys({midi: pianos[0.0].keys[midi] for midi in KEYS}, pianos[0.0].laws)
     fields = measure_fields(before)
     for key in before:
-        own, curve, level = leave_out(fields, key.midi)
-        weight = cell_loudness(key, key.note.modal_response)
+        own, curve, level = predict_key(fields, key.midi)
         found = measure_fields([key._replace(note=pianos[1.0].keys[key.midi].note)]).cells
         ratio = np.log(early_ratio(curve) / early_ratio(found.curve))
         assert np.average(ratio, weights=own.points.size) == pytest.approx(0.0, abs=0.02)
-        assert brightness(own.points.octave, found.level - level, weight)[0] == pytest.approx(0.0, abs=0.05)
+        assert brightness(found, level)[0] == pytest.approx(0.0, abs=0.05)
 
 
 @pytest.mark.parametrize("even", [0.5, 1.0])
@@ -92,8 +91,9 @@ def test_an_uneven_key_becomes_as_its_neighbours(pianos, even):
     assert ratio == pytest.approx(np.full(len(ratio), FASTER**-even), rel=0.05)
     assert np.array_equal(evened.pole.imag, recorded.pole.imag)
     k, change = recorded.partial, 20 * np.log10(np.abs(evened.pattern / recorded.pattern))
-    slopes = [np.polyfit(np.log2(k[k > 1]), row[k > 1], 1)[0] for row in change]
-    assert slopes == pytest.approx([-even * SLOPE] * 2, abs=0.7)
+    slopes = [np.polyfit(np.log2(k), row, 1)[0] for row in change]
+    # The guess in place of the key has a part of its slope.
+    assert all(0.5 < slope / (-even * SLOPE) < 1.1 for slope in slopes)
 
 
 def test_a_key_without_modes_changes_its_level_alone(pianos):
@@ -137,8 +137,6 @@ def test_a_constant_force_has_no_sound_after_a_change():
 
 
 def test_the_factor_of_a_stretched_curve_is_found():
-    from pianofit.instrument.measured_fields import TIMES
-
     def curve(factor):
         return 10 * np.log10(0.8 * np.exp(-4 * factor * TIMES) + 0.2 * np.exp(-0.4 * factor * TIMES))[None]
 
@@ -167,7 +165,7 @@ def test_an_amount_is_from_0_to_1(folder, even):
 def test_a_built_instrument_is_not_evened(pianos, tmp_path):
     write_instrument(tmp_path / "instrument.json", pianos[0.0])
     assert load_instrument(tmp_path, even=0.0).even == 0.0
-    with pytest.raises(ParameterError, match="--even 0.5"):
+    with pytest.raises(ParameterError, match=r"--even 0\.5"):
         load_instrument(tmp_path, even=0.5)
 
 

@@ -2,14 +2,15 @@
 
 The fits measure the `LAW_QUANTITIES` of their keys, and the posterior of the whole keyboard gives those of all 88
 (`keyboard_posterior`). A recorded key is played as it was fitted, unless it is evened out (`evened_keys`). The keyboard
-sets only its scale of velocities, where the recordings leave it open. Any other key takes the values of the laws, and its modal response is a guess from those
-of the recorded keys (`guessed_keys`).
+sets only its scale of velocities, where the recordings leave it open. Any other key takes the values of the laws, and
+its modal response is a guess from those of the recorded keys (`guessed_keys`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,9 +82,11 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) 
     keys = [scale_key(key, math.exp(scale)) for key, scale in zip(keys, posterior.log_scale, strict=True)]
     laws = {n: _keyboard_law(q, posterior, reference) for q, n in enumerate(NAMES)}
     recorded = {key.midi: Key(key.note, "recorded", _values(key.midi, posterior, keys), key.summary) for key in keys}
-    recorded = even_out(recorded, laws, even)
     seen = recorded_keys(recorded, laws)
     fields, path = measure_fields(seen), measure_path(seen)
+    # Guesses follow from the keys as recorded. They are even already, and the recorded keys move towards them.
+    evened = even_out(seen, laws, fields, even)
+    recorded = {midi: replace(key, note=evened.get(midi, key.note)) for midi, key in recorded.items()}
     guessed = {
         int(midi): Key(
             _guess(int(midi), laws, fields, path, keys[0].note),

@@ -1,20 +1,23 @@
-"""Recorded keys that are moved towards what the rest of the instrument predicts for them.
+"""Recorded keys that are moved towards what the instrument predicts for them.
 
 Three properties of a key change by the same amount, from 0 (as recorded) to 1:
 
     decay       the decay rates of all modes get one factor. At 1, the mean of the logarithms of the early decays of the
-                partials is that of the prediction. The partials keep their levels
-    brightness  the slope over octaves of the levels of the partials, relative to the prediction, is removed
+                partials is that predicted by the other keys. The partials keep their levels
+    brightness  the slope over octaves of the levels of the partials, relative to a guess in place of the key, is
+                removed
     level       the gain moves the level of a stroke at 4 m/s to the keyboard law
 
-Decay and brightness are predicted by the fields of the other recorded keys (`measured_fields`). A key without modal
-response, and the only recorded key, change their level alone.
+The predictions are those of the fields (`measured_fields`). A key with a few very loud or very faint partials differs
+from the others in more than a slope. A slope that follows these partials, by weights of their energy or without the
+key's own levels, makes it less like the guesses next to it than it was.
+
+A key without modal response changes its level alone, and so does the only recorded key.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -22,43 +25,35 @@ from ..conversions import LOWEST_KEY
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw
-from .guessed_keys import recorded_keys
 from .guessed_knocks import static_part
-from .instrument import Key
-from .key_quantities import LOUDEST_VELOCITY, stroke_level
+from .key_quantities import stroke_level
 from .measured_fields import (
     NOTHING,
     TIMES,
     Cells,
     KeyFields,
     RecordedKey,
-    average_in_cells,
     early_ratio,
-    expected_force,
-    measure_fields,
     partial_energies,
-    partials_of,
-    spectrum,
 )
 
-# Exponent of the energy of a critical band in its loudness (Stevens 1955). Weights of the energy itself would leave the
-# slope to the loudest one or two partials, and it would then change all others by tens of dB.
-LOUDNESS_EXPONENT = 0.3
 # Rounds in which the factor of the decay rates is computed. Each reduces its error to less than half.
 ROUNDS = 20
 
 
-def even_out(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw], amount: float) -> dict[int, Key]:
-    """Return the recorded keys, moved towards the prediction of all others by an amount from 0 to 1."""
+def even_out(
+    keys: Sequence[RecordedKey], laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, amount: float
+) -> dict[int, Note]:
+    """Return the notes of recorded keys, moved by an amount from 0 to 1.
+
+    Parameters
+    ----------
+    fields : of these keys; None without any modal response.
+    """
     if amount == 0:
-        return dict(keys)
-    recorded = recorded_keys(keys, laws)
-    fields = measure_fields(recorded)
-    level = {key.midi: float(laws["level"].value[key.midi - LOWEST_KEY]) for key in recorded}
-    return {
-        key.midi: replace(keys[key.midi], note=_at_level(key.note, _even(key, fields, amount), level[key.midi], amount))
-        for key in recorded
-    }
+        return {key.midi: key.note for key in keys}
+    law = {key.midi: float(laws["level"].value[key.midi - LOWEST_KEY]) for key in keys}
+    return {key.midi: _at_level(key.note, _even(key, fields, amount), law[key.midi], amount) for key in keys}
 
 
 def _at_level(recorded: Note, note: Note, law: float, amount: float) -> Note:
@@ -72,23 +67,24 @@ def _even(key: RecordedKey, fields: KeyFields | None, amount: float) -> Note:
     response = key.note.modal_response
     if fields is None or response is None or len(fields.keys) < 2:
         return key.note
-    own, curve, level = leave_out(fields, key.midi)
+    own, curve, level = predict_key(fields, key.midi)
     factor = decay_factor(own.curve, curve, own.points.size)
-    slope, centre = brightness(own.points.octave, own.level - level, cell_loudness(key, response))
+    slope, centre = brightness(own, level)
     faster = with_decay(key, response, factor**amount)
     octave = np.log2(np.imag(response.pole) / (2 * np.pi))
     changed = faster._replace(pattern=faster.pattern * 10 ** (-amount * slope * (octave - centre) / 20))
     return key.note._replace(modal_response=with_knock(response, changed))
 
 
-def leave_out(fields: KeyFields, midi: int) -> tuple[Cells, np.ndarray, np.ndarray]:
-    """Return the cells of a key, and the decay curves [points, times] and levels [points] predicted by the others."""
-    is_own = fields.cells.points.key == midi
+def predict_key(fields: KeyFields, midi: int) -> tuple[Cells, np.ndarray, np.ndarray]:
+    """Return the cells of a key, their decay curves [points, times] by the other keys, and levels of a guess [points].
+
+    A key that has no near neighbours would predict its own decay.
+    """
+    is_own, points = fields.cells.points.key == midi, fields.cells.points
     own, others = _select(fields.cells, is_own), fields._replace(cells=_select(fields.cells, ~is_own))
-    curve, level = (
-        others.predict(shape.weights(others.cells.points, own.points), values)
-        for shape, values in ((fields.curve_shape, others.cells.curve), (fields.level_shape, others.cells.level))
-    )
+    curve = others.predict(fields.curve_shape.weights(others.cells.points, own.points), others.cells.curve)
+    level = fields.predict(fields.level_shape.weights(points, own.points), fields.cells.level)
     return own, curve, level
 
 
@@ -112,21 +108,12 @@ def decay_factor(own: np.ndarray, predicted: np.ndarray, size: np.ndarray) -> fl
     return float(np.exp(log_factor))
 
 
-def brightness(octave: np.ndarray, level: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    """Return the slope of levels over octaves by weighted least squares, dB, and the mean octave."""
-    centre = float(np.average(octave, weights=weight))
-    width = float(np.average((octave - centre) ** 2, weights=weight))
-    return float(np.average((octave - centre) * level, weights=weight)) / max(width, NOTHING), centre
-
-
-def cell_loudness(key: RecordedKey, response: ModalResponse) -> np.ndarray:
-    """Return the loudness of the cells in a stroke at 4 m/s, up to a factor [points]."""
-    numbers, string = partials_of(key, response)
-    velocity = np.array([LOUDEST_VELOCITY])
-    energy = np.array([partial_energies(response, response.partial == k, velocity)[0] for k in numbers])
-    energy *= expected_force(spectrum(key.note, LOUDEST_VELOCITY), string.frequency) ** 2
-    mean, size = average_in_cells(np.log2(string.frequency))
-    return (mean(energy) * size) ** LOUDNESS_EXPONENT
+def brightness(own: Cells, predicted: np.ndarray) -> tuple[float, float]:
+    """Return the slope of the levels of a key over the predicted ones, dB per octave, and the mean octave."""
+    octave, size = own.points.octave, own.points.size
+    centre = float(np.average(octave, weights=size))
+    width = float(np.average((octave - centre) ** 2, weights=size))
+    return float(np.average((octave - centre) * (own.level - predicted), weights=size)) / max(width, NOTHING), centre
 
 
 def with_decay(key: RecordedKey, response: ModalResponse, factor: float) -> ModalResponse:

@@ -109,18 +109,20 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         quantity=instrument.quantity,  # pyright: ignore[reportArgumentType]
         velocity=instrument.velocity,
         laws=dict(instrument.laws),
-        keys=tuple(_entry(midi, key) for midi, key in sorted(instrument.keys.items())),
+        keys=tuple(_entry(midi, key, instrument.even) for midi, key in sorted(instrument.keys.items())),
         warnings=instrument.warnings,
         even=instrument.even,
         versions=package_versions(),
     )
 
 
-def _entry(midi: int, key: Key) -> KeyEntry:
+def _entry(midi: int, key: Key, even: float) -> KeyEntry:
+    """Return the entry of a key. Guesses do not follow from evened keys, so they are then written out."""
     hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
     skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
-    modal_response = "guess" if key.is_guessed else None
-    if response is not None and not key.is_guessed:
+    is_guess = key.is_guessed and not even
+    modal_response = "guess" if is_guess else None
+    if response is not None and not is_guess:
         modal_response = ModalResponseEntry.of(response, embed_knock=True)
     return KeyEntry(
         midi=midi,

@@ -158,7 +158,7 @@ class Instrument:
         return {state: count for state in KEY_STATES if (count := states.count(state))}
 
     def summary(self) -> str:
-        """Return a summary in a few lines: states and evenness of the keys, keyboard laws, MIDI velocity and warnings."""
+        """Return a summary in a few lines: states and evenness of keys, keyboard laws, MIDI velocity, warnings."""
         lines = [
             f"{self.name or 'instrument'}: {counted(len(self.recorded), 'key')} recorded: "
             + ", ".join(f"{count} {state}" for state, count in self.state_counts.items()),

@@ -195,7 +195,7 @@ def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
         partials = path.frequency > BAND[1] * key.note.f0
         frequency = path.frequency[partials]
         own = 20 * np.log10(abs(key.note.gain)) + key.drive_differences(frequency).mean(axis=0)
-        octave, (mean, size) = np.log2(frequency), average_in_cells(np.log2(frequency))
+        octave, (mean, size) = np.log2(frequency), _cells(np.log2(frequency))
         rows.append((mean(octave), np.full(len(size), float(key.midi)), size, mean(path.db[partials] + own)))
     if not rows:
         return None
@@ -203,7 +203,7 @@ def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
     return PathField(FieldPoints(*points), level, field_shape(FieldPoints(*points), level))
 
 
-def average_in_cells(octave: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+def _cells(octave: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
     """Return the function that averages values of partials in the cells [cells, ...], and the sizes of the cells."""
     _, cell, count = np.unique(np.floor(octave / CELL), return_inverse=True, return_counts=True)
 
@@ -233,7 +233,7 @@ def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
     return KeyFields(
         cells,
         numbers,
-        np.array([partials_of(*pair)[1].frequency[-1] for pair in with_response]),
+        np.array([_partials_of(*pair)[1].frequency[-1] for pair in with_response]),
         max(response.rate for response in responses),
         field_shape(points, cells.level),
         field_shape(points, np.log(early_ratio(cells.curve))),
@@ -246,7 +246,7 @@ def _impulse_ratio(key: RecordedKey) -> float:
     return 10 ** (float(key.drive_differences(np.zeros(1)).mean()) / 20)
 
 
-def partials_of(key: RecordedKey, response: ModalResponse) -> tuple[np.ndarray, Partials]:
+def _partials_of(key: RecordedKey, response: ModalResponse) -> tuple[np.ndarray, Partials]:
     """Numbers of the measured partials of a key, and the string model of them."""
     numbers = np.unique(response.partial)
     numbers = numbers[(numbers > 0) & (numbers <= MOST_PARTIALS)]
@@ -257,7 +257,7 @@ def partials_of(key: RecordedKey, response: ModalResponse) -> tuple[np.ndarray, 
 def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     """Measure the fields of one key."""
     note = key.note
-    numbers, string = partials_of(key, response)
+    numbers, string = _partials_of(key, response)
     own_decay = note.string.b1 + note.string.b2 * (numbers * np.pi / note.geometry.length) ** 2
     parts = [response.partial == number for number in numbers]
     mono = response.pattern.mean(axis=0)
@@ -270,7 +270,7 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     side = (response.pattern[:, strongest] / mono[strongest]).T
     side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
     octave = np.log2(string.frequency)
-    mean, size = average_in_cells(octave)
+    mean, size = _cells(octave)
     by_velocity = 10 * np.log10(mean(power))
     level = by_velocity.mean(axis=1)
     geometric = np.exp(np.log(power).mean(axis=1, keepdims=True))
