@@ -1,6 +1,7 @@
 """How even a chromatic scale over the 88 keys of an instrument is.
 
-    python benchmarks/evenness.py FITS|INSTRUMENT.JSON [--prefix headroom] [--keys A0,D#1,F#1,C4,A6] [--plot FILE.png]
+    python benchmarks/evenness.py FITS|INSTRUMENT.JSON [--prefix headroom] [--keys A0,D#1,F#1,C4,A6]
+        [--even 0...1] [--plot FILE.png]
 
 Every key is struck at one MIDI velocity. Three quantities of its sound are compared between neighbouring keys:
 
@@ -60,15 +61,16 @@ def main() -> None:
     parser.add_argument("instrument", type=Path)
     parser.add_argument("--prefix")
     parser.add_argument("--keys", help="only the fits of these keys, separated by commas")
+    parser.add_argument("--even", type=float, default=0.0, help="how far recorded keys move towards the laws")
     parser.add_argument("--velocity", type=int, default=100, help="MIDI velocity")
     parser.add_argument("--plot", type=Path)
     options = parser.parse_args()
     if options.keys:
         wanted = {note_to_midi(name) for name in options.keys.split(",")}
         keys = load_keys(find_fits([options.instrument], options.prefix))
-        piano = build_instrument([key for key in keys if key.midi in wanted])
+        piano = build_instrument([key for key in keys if key.midi in wanted], even=options.even)
     else:
-        piano = load_instrument(options.instrument, options.prefix)
+        piano = load_instrument(options.instrument, options.prefix, options.even)
     velocity = piano.velocity.at(options.velocity)
     midi = np.array(sorted(piano.keys))
     values = np.array([quantities(piano.keys[m].note, velocity) for m in midi])

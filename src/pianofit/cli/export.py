@@ -12,7 +12,7 @@ from ..errors import OutputError, ParameterError
 from ..io.files import check_target, printable
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import Built, Force, Json, Prefix, integer, real, text
+from .options import Built, Even, Force, Json, Prefix, integer, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def export(
     built: Built,
     out: Annotated[Path, text("DIR|FILE.DSP", "Folder for the sampler, or file for the Faust program.")],
     prefix: Prefix = None,
+    even: Even = 0.0,
     to: Annotated[str, text("FORMAT", "Format: sfz, decent-sampler or faust.", "--format")] = "sfz",
     keys: Annotated[
         str, text("KEYS", "Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed.")
@@ -54,7 +55,7 @@ def export(
     if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
     _check_target(to, out, given if fill else given | {"no-fill": True}, force)
-    chosen, loaded = parse_keys(keys), load_instrument(built, prefix)
+    chosen, loaded = parse_keys(keys), load_instrument(built, prefix, even)
     enable_program_cache()
     with progress_bar() as bar:
         if to == "faust":

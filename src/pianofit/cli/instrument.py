@@ -19,7 +19,7 @@ from ..io.files import (
 )
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import RATE, Built, Force, Json, Prefix, Sound, text
+from .options import RATE, Built, Even, Force, Json, Prefix, Sound, text
 from .terminal import print_result
 
 PAGE = "piano.html"
@@ -31,6 +31,7 @@ def instrument(
     ],
     out: Annotated[Path, text("DIR", "Folder for instrument.json and instrument.html.")],
     prefix: Prefix = None,
+    even: Even = 0.0,
     name: Annotated[str | None, text("NAME", "Name of the instrument. Default: the prefix, or the folder.")] = None,
     page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
     force: Force = False,
@@ -43,7 +44,7 @@ def instrument(
 
     files, first = find_fits(fits, prefix), fits[0].resolve()
     folder_name = printable(first.name if first.is_dir() else first.parent.name)
-    built = build_instrument(load_keys(files), name or prefix or instrument_name(files[0]) or folder_name)
+    built = build_instrument(load_keys(files), name or prefix or instrument_name(files[0]) or folder_name, even)
     with output_folder(out, force) as folder:
         record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:
@@ -56,6 +57,7 @@ def play(
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
     out: Sound,
     prefix: Prefix = None,
+    even: Even = 0.0,
     rate: Annotated[int, RATE] = 48_000,
     force: Force = False,
     as_json: Json = False,
@@ -67,7 +69,7 @@ def play(
 
     with progress_bar() as bar:
         check_sound_target(out, force)
-        loaded, notes = load_instrument(built, prefix), load_song(song)
+        loaded, notes = load_instrument(built, prefix, even), load_song(song)
         enable_program_cache()
         start = time.perf_counter()
         rendered = render_song(loaded, notes, rate, bar)
@@ -111,6 +113,7 @@ def page(
         Path | None, text("FILE.HTML", f"HTML file to write. Default: {PAGE} next to the instrument.")
     ] = None,
     prefix: Prefix = None,
+    even: Even = 0.0,
     recordings: Annotated[
         bool, typer.Option("--recordings", help="Include the recordings in the page, to compare them with the keys.")
     ] = False,
@@ -128,7 +131,7 @@ def page(
         if out.suffix.lower() not in (".html", ".htm"):
             raise OutputError(f"{printable(out)}: a page is an HTML file; give --out a name that ends in .html")
         check_target(out, force)
-    loaded = load_instrument(built, prefix)
+    loaded = load_instrument(built, prefix, even)
     if out is None:
         out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
         check_target(out, force)

@@ -57,6 +57,9 @@ Built = Annotated[
     Path, typer.Argument(metavar="DIR|INSTRUMENT.JSON", help="The folder of a batch, or an instrument.json.")
 ]
 Prefix = Annotated[str | None, text("PREFIX", "Which instrument, if DIR has several, such as cp80.")]
+Even = Annotated[
+    float, real("0...1", "Move recorded keys towards the laws in level, decay and brightness: 0 as fitted, 1 wholly.")
+]
 Note = Annotated[
     str | None, text("NOTE", "Note: F#2, Fs2, Gb2 or its MIDI number, 42. Default: detected in the recording.")
 ]

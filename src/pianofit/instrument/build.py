@@ -1,26 +1,28 @@
 """From the fits of single keys to a whole instrument.
 
 The fits measure the `LAW_QUANTITIES` of their keys, and the posterior of the whole keyboard gives those of all 88
-(`keyboard_posterior`). A recorded key is played as it was fitted. The keyboard sets only its scale of velocities, where
-the recordings leave it open. Any other key takes the values of the laws, and its modal response is a guess from those
-of the recorded keys (`guessed_keys`).
+(`keyboard_posterior`). A recorded key is played as it was fitted, unless it is evened out (`evened_keys`). The keyboard
+sets only its scale of velocities, where the recordings leave it open. Any other key takes the values of the laws, and
+its modal response is a guess from those of the recorded keys (`guessed_keys`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
 from .collect_fits import KeyFit, scale_key
+from .evened_keys import even_out
 from .guessed_keys import guess_response, recorded_keys, string_law
 from .instrument import Instrument, Key
 from .key_quantities import (
@@ -46,13 +48,14 @@ VELOCITY_PRIOR_SD = (0.7, 0.5)
 LAYER_SD, LEAST_RISE = 0.4, 0.3
 
 
-def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
+def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) -> Instrument:
     """Combine the fits of single keys to an instrument of 88 keys.
 
     Parameters
     ----------
     keys : fits in ascending order of keys, as `load_keys` returns them.
     name : name of the instrument.
+    even : how far recorded keys move towards the laws in level, decay and brightness, from 0 (as fitted) to 1.
 
     Returns
     -------
@@ -61,7 +64,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     Raises
     ------
     ParameterError
-        Without any fit.
+        Without any fit, or for a value of `even` beyond 0 to 1.
 
     Examples
     --------
@@ -70,6 +73,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     >>> pianofit.build_instrument(pianofit.load_keys(pianofit.find_fits([Path("batch")], "cp80")), "my CP80")
     Instrument('my CP80', 88 keys, 2 recorded)
     """
+    check_range("even=", even, 0.0, 1.0)
     if not keys:
         raise ParameterError("no fit was given; an instrument needs at least one fit.json")
     reference = _reference(keys)
@@ -80,6 +84,9 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
     recorded = {key.midi: Key(key.note, "recorded", _values(key.midi, posterior, keys), key.summary) for key in keys}
     seen = recorded_keys(recorded, laws)
     fields, path = measure_fields(seen), measure_path(seen)
+    # Guesses follow from the keys as recorded. They are even already, and the recorded keys move towards them.
+    evened = even_out(seen, laws, fields, even)
+    recorded = {midi: replace(key, note=evened.get(midi, key.note)) for midi, key in recorded.items()}
     guessed = {
         int(midi): Key(
             _guess(int(midi), laws, fields, path, keys[0].note),
@@ -96,6 +103,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> Instrument:
         fit_velocity_curve([key.summary.velocities for key in keys]),
         laws,
         tuple(_warnings(keys, posterior)),
+        float(even),
     )
 
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from ..analysis.note_names import midi_to_note
-from ..errors import FitError, ParameterError
+from ..errors import FitError, ParameterError, check_range
 from ..felt import SoftHammer, check_hammer, make_hammer
 from ..io.files import printable, replace_file, short_repr
 from ..model.note import Note
@@ -30,13 +30,14 @@ from .guessed_keys import with_guessed_responses
 from .instrument import Instrument, Key
 
 
-def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
+def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, even: float = 0.0) -> Instrument:
     """Load an instrument from a file, or from a folder with an `instrument.json` or with fits.
 
     Parameters
     ----------
     path : an `instrument.json`, its folder, or a folder of fits, which are combined by `build_instrument`.
     prefix : name of the instrument, if a folder holds fits of several.
+    even : as for `build_instrument`, for a folder of fits.
 
     Returns
     -------
@@ -48,7 +49,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
         If an entry is missing, of the wrong type, or out of range; the message names the file and the entry. Also if a
         folder holds no fits, or fits of several instruments without a `prefix`.
     ParameterError
-        If a `prefix` is given for a file.
+        If a `prefix`, or `even` above 0, is given for a file. Also for a value of `even` beyond 0 to 1.
 
     Examples
     --------
@@ -56,20 +57,25 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     >>> pianofit.load_instrument("batch", prefix="cp80")
     Instrument('cp80', 88 keys, 2 recorded)
     """
+    check_range("even=", even, 0.0, 1.0)
     path = Path(path)
     file = path / INSTRUMENT_FILE if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         files = find_fits([path], prefix)
         name = prefix or instrument_name(files[0]) or path.resolve().name
-        return build_instrument(load_keys(files), printable(name))
+        return build_instrument(load_keys(files), printable(name), even)
     if prefix is not None:
         raise ParameterError(
             f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
         )
+    if even:
+        raise ParameterError(
+            f"--even {even:g} acts on fits, and {printable(path)} holds an instrument that is built; give its fits"
+        )
     record, name = read_instrument_file(file), printable(file)
     keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
     keys = with_guessed_responses(keys, record.laws)
-    return Instrument(printable(record.name), keys, record.velocity, record.laws, record.warnings)
+    return Instrument(printable(record.name), keys, record.velocity, record.laws, record.warnings, record.even)
 
 
 def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
@@ -103,17 +109,20 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         quantity=instrument.quantity,  # pyright: ignore[reportArgumentType]
         velocity=instrument.velocity,
         laws=dict(instrument.laws),
-        keys=tuple(_entry(midi, key) for midi, key in sorted(instrument.keys.items())),
+        keys=tuple(_entry(midi, key, instrument.even) for midi, key in sorted(instrument.keys.items())),
         warnings=instrument.warnings,
+        even=instrument.even,
         versions=package_versions(),
     )
 
 
-def _entry(midi: int, key: Key) -> KeyEntry:
+def _entry(midi: int, key: Key, even: float) -> KeyEntry:
+    """Return the entry of a key. Guesses do not follow from evened keys, so they are then written out."""
     hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
     skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
-    modal_response = "guess" if key.is_guessed else None
-    if response is not None and not key.is_guessed:
+    is_guess = key.is_guessed and not even
+    modal_response = "guess" if is_guess else None
+    if response is not None and not is_guess:
         modal_response = ModalResponseEntry.of(response, embed_knock=True)
     return KeyEntry(
         midi=midi,

@@ -76,7 +76,8 @@ def _recorded(midi: int, key: Key, laws: Mapping[str, KeyboardLaw]) -> RecordedK
 
 def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> dict[int, Key]:
     """Return all keys; those that are guessed get their modal responses, which files do not hold."""
-    fields = measure_fields(recorded_keys(keys, laws))
+    are_guessed = any(key.is_guessed for key in keys.values())
+    fields = measure_fields(recorded_keys(keys, laws)) if are_guessed else None
     if fields is None:
         return dict(keys)
 

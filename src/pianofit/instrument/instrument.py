@@ -13,7 +13,7 @@ from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, Vel
 
 # States of a key, and what they mean.
 KEY_STATES: dict[KeyState, str] = {
-    "recorded": "played as it was fitted",
+    "recorded": "has its own fit",
     "interpolated": "never recorded, between recorded keys",
     "extrapolated": "never recorded, beyond the recorded keys",
     "changed": "changed by hand on the page to play",
@@ -53,6 +53,7 @@ class Instrument:
     velocity : hammer velocity over MIDI velocity.
     laws : keyboard laws by name.
     warnings : limitations.
+    even : how far recorded keys were moved towards the laws, from 0 (as fitted) to 1.
 
     Examples
     --------
@@ -73,6 +74,7 @@ class Instrument:
     velocity: VelocityCurve = field(default_factory=VelocityCurve)
     laws: Mapping[str, KeyboardLaw] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    even: float = 0.0
 
     def __repr__(self) -> str:
         return f"Instrument({self.name!r}, {counted(len(self.keys), 'key')}, {len(self.recorded)} recorded)"
@@ -124,6 +126,13 @@ class Instrument:
             return "none is a guess"
         return f"{between + beyond} {'is a guess' if between + beyond == 1 else 'are guesses'}: {', '.join(parts)}"
 
+    @property
+    def evenness(self) -> str:
+        """Text on how recorded keys are played."""
+        if not self.even:
+            return "recorded keys are played as fitted"
+        return f"recorded keys are moved by {100 * self.even:.3g} % to the laws in level, decay and brightness"
+
     def note(self, midi: int, velocity: float) -> Note:
         """Return the note of a key, struck at a MIDI velocity.
 
@@ -149,10 +158,11 @@ class Instrument:
         return {state: count for state in KEY_STATES if (count := states.count(state))}
 
     def summary(self) -> str:
-        """Return a summary in a few lines: states of the keys, keyboard laws, MIDI velocity and warnings."""
+        """Return a summary in a few lines: states and evenness of keys, keyboard laws, MIDI velocity, warnings."""
         lines = [
             f"{self.name or 'instrument'}: {counted(len(self.recorded), 'key')} recorded: "
             + ", ".join(f"{count} {state}" for state, count in self.state_counts.items()),
+            self.evenness,
             "",
             f"{'':26}{'key scatter':>14}{'smooth over':>12}",
         ]

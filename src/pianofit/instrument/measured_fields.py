@@ -236,7 +236,7 @@ def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
         np.array([_partials_of(*pair)[1].frequency[-1] for pair in with_response]),
         max(response.rate for response in responses),
         field_shape(points, cells.level),
-        field_shape(points, np.log(_early_ratio(cells.curve))),
+        field_shape(points, np.log(early_ratio(cells.curve))),
         measure_knocks(numbers, responses, np.array(gains), channels),
     )
 
@@ -261,7 +261,7 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     own_decay = note.string.b1 + note.string.b2 * (numbers * np.pi / note.geometry.length) ** 2
     parts = [response.partial == number for number in numbers]
     mono = response.pattern.mean(axis=0)
-    energies = np.array([_energies(response, mono, part, key.compared_velocities) for part in parts])
+    energies = np.array([partial_energies(response, part, key.compared_velocities) for part in parts])
     reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
     drives = key.drive_differences(string.frequency)
     power = np.maximum(energies, NOTHING) / reference[:, None] * 10 ** (drives.T / 10)  # [partials, velocities]
@@ -287,11 +287,16 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     )
 
 
-def _energies(response: ModalResponse, mono: np.ndarray, part: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-    """Energies of the level of one partial after a unit of force at these velocities [velocities]."""
+def partial_energies(response: ModalResponse, part: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+    """Energies of the level of one partial after a unit of force at these velocities [velocities].
+
+    Parameters
+    ----------
+    part : whether a mode belongs to the partial [modes].
+    """
     gain = response.velocity_gain
     factors = [np.ones(part.sum()) if gain is None else np.abs(gain.at(v)[part]) for v in velocities]
-    power = np.abs(mono[part]) ** 2 * np.array(factors) ** 2
+    power = np.abs(response.pattern[:, part].mean(axis=0)) ** 2 * np.array(factors) ** 2
     return power @ level_energy(-2 * np.real(response.pole[part]))
 
 
@@ -301,7 +306,7 @@ def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: f
     return power @ np.exp(-2 * np.outer(rate / decay, TIMES)) / max(float(power @ level_energy(2 * rate)), NOTHING)
 
 
-def _early_ratio(curve: np.ndarray) -> np.ndarray:
+def early_ratio(curve: np.ndarray) -> np.ndarray:
     """Early decay rate over that of the laws [points], from decay curves [points, times]."""
     string = -20 / np.log(10) * TIMES[EARLY]
     return np.maximum(curve[:, EARLY] @ string / np.sum(string**2), LEAST_RATIO)

@@ -30,6 +30,7 @@ HINT = "give the instrument.json that pianofit instrument wrote"
 V_H0 = PARAMETERS["v_H0"]
 HammerVelocity = Annotated[float, Meta(ge=V_H0.lower, le=V_H0.upper)]
 Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # Longest recording in a file, s.
 ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
 KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
@@ -186,6 +187,7 @@ class InstrumentFile:
     laws: dict[str, KeyboardLaw] = field(default_factory=dict)
     keys: Annotated[tuple[KeyEntry, ...], Meta(min_length=1, max_length=HIGHEST_KEY - LOWEST_KEY + 1)]
     warnings: tuple[str, ...] = ()
+    even: Share = 0.0  # how far recorded keys were moved towards the laws
     versions: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

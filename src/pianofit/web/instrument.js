@@ -13,7 +13,7 @@ const LAWS_OF = { force: ["F/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], str
  * keys: [{key, changes}], each key with its current values and its changes, empty without any; volume: a factor that is
  * included in the gains.
  */
-export function instrumentDocument({ name, velocity }, keys, volume) {
+export function instrumentDocument({ name, velocity, even }, keys, volume) {
   const changedKeys = keys.filter(({ changes }) => Object.keys(changes).length).map(({ key }) => key.note);
   const names = changedKeys.length === keys.length ? `all ${keys.length} keys` : changedKeys.join(", ");
   const warnings = ["Saved from the page to play."];
@@ -21,7 +21,7 @@ export function instrumentDocument({ name, velocity }, keys, volume) {
   if (volume !== 1) warnings.push(`The gains include the volume of the page, ${(20 * Math.log10(volume)).toFixed(0)} dB.`);
   return {
     schema: INSTRUMENT_SCHEMA, program: "pianofit", kind: "instrument", name, quantity: keys[0].key.quantity,
-    velocity: { ...velocity, source: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), warnings,
+    velocity: { ...velocity, source: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), warnings, even,
   };
 }
 

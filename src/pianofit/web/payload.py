@@ -76,6 +76,7 @@ def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
     return {
         "name": instrument.name,
         "velocity": {"at_64": instrument.velocity.at_64, "rise": instrument.velocity.rise},
+        "even": instrument.even,
         "keys": [
             {
                 "midi": midi,

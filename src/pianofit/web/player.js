@@ -38,8 +38,8 @@ class Player {
     return new Player(instrument, code, await import(blob(code.engine)));
   }
 
-  constructor({ name, keys, velocity }, code, modules) {
-    Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, tables: new Map(), sent: new Set(),
+  constructor({ name, keys, velocity, even }, code, modules) {
+    Object.assign(this, modules, { code, name, velocity, even, pedal: false, volume: 1, tables: new Map(), sent: new Set(),
       fittedTables: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // keys with the changes of the sliders
