@@ -1,13 +1,14 @@
 """Whether the intervals of all 88 keys hold the truth, over instruments drawn from the keyboard laws.
 
-    python benchmarks/keyboard_coverage.py FITS [--prefix headroom] [--instruments 100] [--seed 1] [--json FILE]
+    python benchmarks/keyboard_coverage.py FITS [--prefix headroom] [--instruments 100] [--seed 1] [--keep-prior]
 
 FITS holds `KEY/fit.json` of one real instrument, as `pianofit fit` or `pianofit batch` left them. Only the errors of
 these fits are used. Each instrument is drawn from the model of `keyboard_posterior`: an offset, a tilt and a smooth
 function for every quantity, and single keys that deviate by a Student's t. Sizes and lengths are drawn from their
-priors. Five to nine keys are recorded. The fit of each has the joint covariance of the nearest real fit, an error
-drawn from it, and an unknown velocity scale. Half of them have a second minimum, as far away as one of the real fits
-had, and its weight is the probability that it holds the truth.
+priors. Five to nine keys are recorded. The recordings of each measure its quantities with the joint covariance of the
+nearest real fit, an error drawn from it, and an unknown velocity scale. Its fit combines them with the literature, and
+the keyboard removes that prior again. With `--keep-prior` it does not. Half of the fits have a second minimum, as far
+away as one of the real fits had, and its weight is the probability that it holds the truth.
 
 For every quantity and three groups, the laws, the recorded keys and the unrecorded keys, the table shows the
 percentage of 95 % intervals that hold the truth, the rms error in standard deviations and the largest one.
@@ -36,6 +37,8 @@ SECOND = 0.5
 GROUPS = ("law", "recorded", "unrecorded")
 # Half width of a 95 % interval, standard deviations, and percentages of intervals that should hold the truth.
 HALF_WIDTH, WANTED = 1.959964, (90.0, 99.0)
+# Quantities for which a fit has a prior from the literature, and the parameter with its standard deviation.
+FIT_PRIOR = {"M_H/M_S": "M_H", "F/M_S": "K_H", "local_exponent": "p", "mu": "mu", "skin": "skin", "x0/L": "x0"}
 
 
 class Truth(NamedTuple):
@@ -60,8 +63,31 @@ def draw_instrument(random: np.random.Generator, priors: Sequence[Prior]) -> Tru
     return Truth(np.array(law), np.array(value))
 
 
+def fitted(mean: np.ndarray, covariance: np.ndarray, keep_prior: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance that a fit hands over, from those of its recordings alone."""
+    from pianofit.felt import DEFAULT_LAW
+    from pianofit.felt.hunt_crossley import HAMMER_SD
+    from pianofit.instrument.fit_prior import FitPrior, remove_prior
+    from pianofit.instrument.key_quantities import LAW_QUANTITIES
+
+    spread = HAMMER_SD | {name: parameter.prior_sd for name, parameter in DEFAULT_LAW.parameters.items()}
+    sd = np.array([spread[name] for name in FIT_PRIOR.values()])
+    rows = np.array([[float(name == other) for other in LAW_QUANTITIES] for name in FIT_PRIOR]) / sd[:, None]
+    likelihood = np.linalg.inv(covariance)
+    posterior = np.linalg.inv(likelihood + rows.T @ rows)
+    mean = posterior @ likelihood @ mean
+    if keep_prior:
+        return mean, posterior
+    removal = remove_prior(FitPrior(rows, rows @ mean), posterior)
+    return mean + removal.shift, removal.covariance
+
+
 def draw_fit(
-    random: np.random.Generator, midi: int, truth: np.ndarray, templates: Sequence[KeyMeasurements]
+    random: np.random.Generator,
+    midi: int,
+    truth: np.ndarray,
+    templates: Sequence[KeyMeasurements],
+    keep_prior: bool = False,
 ) -> KeyMeasurements:
     """Draw the fit of a key with these true values [quantities]."""
     from pianofit.instrument.keyboard_posterior import VELOCITY_SCALE_SD, KeyMeasurements, Measurement
@@ -70,6 +96,7 @@ def draw_fit(
     covariance, direction = like.minima[0].covariance, like.scale_direction
     error = random.multivariate_normal(np.zeros(len(truth)), covariance, method="cholesky")
     mean = truth - random.normal(0, VELOCITY_SCALE_SD) * direction + error
+    mean, covariance = fitted(mean, covariance, keep_prior)
     if random.uniform() > SECOND:
         return KeyMeasurements(midi, (Measurement(1.0, mean, covariance),), direction)
     apart = [other.mean - one.minima[0].mean for one in templates for other in one.minima[1:]]
@@ -82,7 +109,7 @@ def draw_fit(
 
 
 def errors_of_one(
-    seed: Sequence[int], priors: Sequence[Prior], templates: Sequence[KeyMeasurements]
+    seed: Sequence[int], priors: Sequence[Prior], templates: Sequence[KeyMeasurements], keep_prior: bool
 ) -> dict[str, np.ndarray]:
     """Errors of one instrument, in standard deviations, by group [quantities, keys]."""
     from pianofit.instrument.keyboard_posterior import keyboard_posterior
@@ -90,7 +117,7 @@ def errors_of_one(
     random = np.random.default_rng(seed)
     truth = draw_instrument(random, priors)
     places = np.sort(random.choice(len(KEYS), random.integers(FEWEST, MOST + 1), replace=False))
-    fits = [draw_fit(random, int(KEYS[i]), truth.value[:, i], templates) for i in places]
+    fits = [draw_fit(random, int(KEYS[i]), truth.value[:, i], templates, keep_prior) for i in places]
     found = keyboard_posterior(fits, np.zeros(truth.law.shape), priors, KEYS.tolist())
     values = [found.value_at(q, KEYS[places].tolist(), KEYS.tolist()) for q in range(len(priors))]
     z = np.array([(value - true) / sd for (value, sd), true in zip(values, truth.value, strict=True)])
@@ -130,12 +157,15 @@ def main() -> None:
     parser.add_argument("--prefix")
     parser.add_argument("--instruments", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--keep-prior", action="store_true", help="the keyboard gets fits with their prior")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     templates = [key.measured for key in load_keys(find_fits([options.fits], options.prefix))]
     priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
     begun = time.perf_counter()
-    errors = [errors_of_one((options.seed, i), priors, templates) for i in range(options.instruments)]
+    errors = [
+        errors_of_one((options.seed, i), priors, templates, options.keep_prior) for i in range(options.instruments)
+    ]
     seconds = (time.perf_counter() - begun) / options.instruments
     z = {group: np.concatenate([one[group] for one in errors], axis=1) for group in GROUPS}
     found = {n: {group: summary(z[group][q]) for group in GROUPS} for q, n in enumerate(LAW_QUANTITIES)}

@@ -53,7 +53,7 @@ JITTER = 1e-9
 class Measurement(NamedTuple):
     """One minimum of a key's fit, on the scales of the laws."""
 
-    weight: float  # of the posterior of the fit
+    weight: float  # relative to the other minima
     mean: np.ndarray  # [quantities]
     covariance: np.ndarray  # [quantities, quantities]
 
