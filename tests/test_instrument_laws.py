@@ -21,7 +21,17 @@ from pianofit.instrument.key_quantities import (
     literature,
     note_from_quantities,
 )
-from pianofit.instrument.keyboard_posterior import KeyMeasurements, Measurement, Prior, keyboard_posterior
+from pianofit.instrument.keyboard_posterior import KeyMeasurements, Measurement, keyboard_posterior
+from pianofit.instrument.quantity_law import (
+    SHAPE_SD,
+    STUDENT,
+    LawShape,
+    Observed,
+    Prior,
+    integrate,
+    log_posterior,
+    most_probable,
+)
 from pianofit.schema.decode import convert
 from pianofit.schema.fit import Fit
 
@@ -179,6 +189,78 @@ def test_intervals_cover():
         held["unrecorded"].append(np.delete(inside, x - 21))
     for name, cases in held.items():
         assert 0.88 < np.mean(cases) < 0.99, name
+
+
+def drawn_law(random, prior=WIDE) -> tuple[np.ndarray, np.ndarray]:
+    """A law and values of 88 keys, drawn from the model of one quantity."""
+    keys = np.array(ALL)
+    smooth, scatter, length = prior.medians * np.exp(SHAPE_SD * random.normal(size=3))
+    root = np.linalg.cholesky(np.exp(-0.5 * ((keys[:, None] - keys) / length) ** 2) + 1e-8 * np.eye(88))
+    law = prior.offset * random.normal() + prior.slope_sd * random.normal() * (keys - 64.5) / 43.5
+    law = law + smooth * root @ random.normal(size=88)
+    return law, law + scatter * random.standard_t(STUDENT, size=88)
+
+
+def test_intervals_of_few_keys_cover():
+    """Six exact keys hardly determine the size, length and scatter of a law, and its intervals allow for that."""
+    random, held = np.random.default_rng(11), {"law": [], "value": []}
+    for _ in range(150):
+        law, true = drawn_law(random)
+        x = np.sort(random.choice(ALL, 6, replace=False))
+        found = posterior_of_one(x, true[x - 21], 1e-3)
+        value, sd = found.value_at(0, x.tolist(), ALL)
+        held["law"].append(np.abs(found.law[0] - law) < 1.96 * found.law_sd[0])
+        held["value"].append(np.delete(np.abs(value - true) < 1.96 * sd, x - 21))
+    for name, cases in held.items():
+        assert 0.90 < np.mean(cases) < 0.99, name
+
+
+def observed_law() -> Observed:
+    """Seven keys of a drawn law, whose errors are correlated."""
+    x = np.array([24.0, 31, 40, 52, 60, 75, 96])
+    _, true = drawn_law(np.random.default_rng(2))
+    noise = 1e-3 * np.eye(7) + 1e-3
+    return Observed(x, true[x.astype(int) - 21], noise, np.array([1, 1, 0.4, 1, 1.1, 1, 0.8]))
+
+
+def test_the_density_of_a_shape_has_the_gradient_of_finite_differences():
+    observed, u = observed_law(), np.array([0.4, -0.7, 0.9])
+    steps = 1e-5 * np.eye(3)
+    differences = [
+        (log_posterior(observed, WIDE, u + h)[0] - log_posterior(observed, WIDE, u - h)[0]) / 2e-5 for h in steps
+    ]
+    assert log_posterior(observed, WIDE, u)[1] == pytest.approx(differences, rel=1e-6, abs=1e-6)
+    mode = most_probable(observed, WIDE, LawShape(*WIDE.medians))
+    at_mode = (np.log(mode) - np.log(WIDE.medians)) / SHAPE_SD
+    assert np.abs(log_posterior(observed, WIDE, at_mode)[1]).max() < 1e-3
+
+
+def test_a_law_is_the_mean_over_all_shapes():
+    """Against shapes drawn from their prior and weighted by the likelihood of the keys."""
+    observed, at = observed_law(), np.array(ALL, float)
+    mode = most_probable(observed, WIDE, LawShape(*WIDE.medians))
+    found = integrate(observed, WIDE, mode, at)
+
+    def covariance(a, b, smooth, length):
+        tilt = (WIDE.slope_sd / 43.5) ** 2 * np.outer(a - 64.5, b - 64.5)
+        return WIDE.offset**2 + tilt + smooth**2 * np.exp(-0.5 * ((a[:, None] - b) / length) ** 2)
+
+    density, means, squares = [], [], []
+    for normal in np.random.default_rng(4).normal(size=(8000, 3)):
+        smooth, scatter, length = WIDE.medians * np.exp(SHAPE_SD * normal)
+        total = covariance(observed.x, observed.x, smooth, length) + observed.noise
+        total = total + np.diag(scatter**2 / observed.weights)
+        gain = np.linalg.solve(total, covariance(observed.x, at, smooth, length)).T
+        mean = gain @ observed.y
+        variance = np.diag(covariance(at, at, smooth, length) - gain @ covariance(observed.x, at, smooth, length))
+        density.append(-0.5 * (observed.y @ np.linalg.solve(total, observed.y) + np.linalg.slogdet(total)[1]))
+        means.append(mean)
+        squares.append(variance + mean**2)
+    share = np.exp(np.array(density) - max(density))
+    share /= share.sum()
+    sd = np.sqrt(share @ squares - (share @ means) ** 2)
+    assert np.abs(found.law - share @ means).max() < 0.1 * sd.max()
+    assert found.law_sd == pytest.approx(sd, rel=0.1)
 
 
 def test_the_scatter_between_keys_is_found():

@@ -23,14 +23,13 @@ from ..analysis import Analysis, cents_above
 from ..conversions import midi_of
 from ..errors import SetupError
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
+from ..felt.hunt_crossley import HAMMER_SD as HAMMER_SD  # keyboard laws remove this prior, and do not import this room
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..setup import Setup
 
-# --- hammer: about the literature's values for the key (literature.typical); the felt law has the felt's priors -------
-# Hammer masses of neighbouring instruments differ by tens of percent (Chaigne and Askenfelt 1994; Chabassier): standard
-# deviations of log(value).
-HAMMER_SD = {"M_H": 0.4, "x0": 0.2, "width": 0.3}
+# --- hammer: about the literature's values for the key (literature.typical), with the standard deviations `HAMMER_SD`;
+# the felt law has the felt's priors
 # Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
 VELOCITY = 1.5
 VELOCITY_SD = 0.8

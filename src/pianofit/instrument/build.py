@@ -133,7 +133,7 @@ def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
 
 def _reference(keys: Sequence[KeyFit]) -> np.ndarray:
     """Values of the literature on the scales of the laws [quantities, 88]; for the level the mean of the keys."""
-    level = float(np.mean([key.measured.minima[0].mean[NAMES.index("level")] for key in keys]))
+    level = float(np.mean([key.fitted.mean[NAMES.index("level")] for key in keys]))
     rows = [literature(int(midi)) | {"level": level} for midi in KEYS]
     return np.array([LAW_QUANTITIES[n].scaled([row[n] for row in rows]) for n in NAMES])
 
@@ -169,8 +169,8 @@ def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> 
         value, sd = (float(x[midi - LOWEST_KEY]) for x in posterior.value_at(q, numbers, KEYS.tolist()))
         own = None
         if j is not None:
-            first = keys[j].measured.minima[0]
-            mean, own_sd = float(first.mean[q]), math.sqrt(first.covariance[q, q])
+            fitted = keys[j].fitted
+            mean, own_sd = float(fitted.mean[q]), math.sqrt(fitted.covariance[q, q])
             own = OwnFit(float(unscaled(mean)), _interval(q, mean, own_sd), float(posterior.z[q, j]))
         law = float(unscaled(posterior.law[q, midi - LOWEST_KEY]))
         found[name] = KeyValue(float(unscaled(value)), _interval(q, value, sd), law, own)

@@ -28,9 +28,9 @@ from ..parameters import Hammer
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
-from .key_measurements import NEEDED, measurements_of
+from .key_measurements import NEEDED, fitted_values, measurements_of
 from .key_quantities import LOUDEST_VELOCITY, soft_hammer, within_ranges
-from .keyboard_posterior import KeyMeasurements
+from .keyboard_posterior import KeyMeasurements, Measurement
 
 # Number of lowest partials whose beating and decays are listed.
 LOWEST_PARTIALS = 4
@@ -46,7 +46,8 @@ class KeyFit:
 
     midi: int
     note: Note  # with gain and velocity of the loudest recording
-    measured: KeyMeasurements  # of the `LAW_QUANTITIES`
+    measured: KeyMeasurements  # of the `LAW_QUANTITIES`, without the prior of the fit
+    fitted: Measurement  # of the `LAW_QUANTITIES`, as the fit reports them
     summary: FitSummary
 
 
@@ -193,7 +194,7 @@ def _load_key(file: Path) -> KeyFit:
     )
     scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     note, summary = _scaled(note._replace(hammer=hammer, gain=gain, path=path), summary, scale)
-    return KeyFit(midi, note, measurements_of(fit, note, midi), summary)
+    return KeyFit(midi, note, measurements_of(fit, note, midi), fitted_values(fit, note, midi), summary)
 
 
 def scale_key(key: KeyFit, scale: float) -> KeyFit:

@@ -1,7 +1,8 @@
 """Means and joint covariances of the quantities that have keyboard laws, from the fit of a key.
 
 The covariance of a fit is that of logarithms of parameters and velocities. All law quantities but the level are
-logarithms of products of powers of these, so their covariance is J C Jᵀ with a matrix J of exponents.
+logarithms of products of powers of these, so their covariance is J C Jᵀ with a matrix J of exponents. The keyboard
+has its own prior, so that of the fit is removed before (`fit_prior`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..schema.fit import Fit, Minimum
 from ..schema.quantities import Covariance
+from .fit_prior import prior_of, remove_prior
 from .key_quantities import (
     LAW_QUANTITIES,
     LOUDEST_VELOCITY,
@@ -50,12 +52,22 @@ def measurements_of(fit: Fit, note: Note, midi: int) -> KeyMeasurements:
     midi : number of the key.
     """
     level = stroke_level(note)
-    minima = tuple(_measurement(fit, note, midi, minimum, level) for minimum in fit.minima)
-    if not minima:
-        mean = _scaled(key_quantities(note, midi), level)
-        minima = (Measurement(1.0, mean, np.diag(_default_variances())),)
+    minima = tuple(_measurement(fit, note, midi, minimum, level, without_prior=True) for minimum in fit.minima)
+    minima = minima or (_without_intervals(note, midi, level),)
     direction = _scale_direction(note, midi, level) if fit.velocity_scale_open else np.zeros(len(LAW_QUANTITIES))
     return KeyMeasurements(midi, minima, direction)
+
+
+def fitted_values(fit: Fit, note: Note, midi: int) -> Measurement:
+    """Return the best minimum of a key as its fit reports it, with its prior; arguments as of `measurements_of`."""
+    level = stroke_level(note)
+    if not fit.minima:
+        return _without_intervals(note, midi, level)
+    return _measurement(fit, note, midi, fit.minima[0], level, without_prior=False)
+
+
+def _without_intervals(note: Note, midi: int, level: float) -> Measurement:
+    return Measurement(1.0, _scaled(key_quantities(note, midi), level), np.diag(_default_variances()))
 
 
 def _scaled(values: Mapping[str, float], level: float) -> np.ndarray:
@@ -89,18 +101,21 @@ def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
     return note._replace(string=string, hammer=hammer, geometry=geometry)
 
 
-def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float) -> Measurement:
+def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float, without_prior: bool) -> Measurement:
     own = note_at(fit, note, minimum)
     mean = _scaled(key_quantities(own, midi), level)
-    variance = _default_variances()
+    variance, weight = _default_variances(), minimum.weight
     if minimum.covariance is None:
-        return Measurement(minimum.weight, mean, np.diag(variance))
-    matrix = _conditional(fit, minimum, minimum.covariance)
-    scale = float(own.hammer.v_H0) / float(np.max(minimum.velocities))
-    exponents = _exponents(minimum.covariance.names, own, midi, scale)
+        return Measurement(weight, mean, np.diag(variance))
+    names, matrix = minimum.covariance.names, _conditional(fit, minimum, minimum.covariance)
+    exponents = _exponents(names, own, midi, float(own.hammer.v_H0) / float(np.max(minimum.velocities)))
+    if without_prior:
+        removal = remove_prior(prior_of(fit, minimum, names), matrix)
+        weight *= math.exp(removal.log_weight)
+        mean, matrix = mean + exponents @ removal.shift, removal.covariance
     covariance = exponents @ matrix @ exponents.T * (1.0 if fit.converged else NONCONVERGED_FACTOR**2)
     given = np.diag(covariance) < GIVEN
-    return Measurement(minimum.weight, mean, covariance + np.diag(np.where(given, variance, 0.0)))
+    return Measurement(weight, mean, covariance + np.diag(np.where(given, variance, 0.0)))
 
 
 def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, reference_compression, typical
 from ..model.note import Note
 from ..parameters import HAMMER_NAMES, Geometry, String
-from .keyboard_posterior import Prior
+from .quantity_law import Prior
 
 
 @dataclass(frozen=True)

@@ -16,27 +16,31 @@ therefore moves only in directions that its own data do not determine. A fit wit
 covariance for each, and the other keys decide between them.
 
 Given the size and length of f, the spread of δ and the weights of Student's t, all of this is linear and Gaussian.
-Sizes, lengths and spreads maximise the marginal likelihood of the whole keyboard with weak priors (empirical Bayes).
-The weights and the shares of the minima are computed in turn with them (EM).
+Sizes, lengths and spreads maximise the marginal likelihood of the whole keyboard with weak priors. The weights and the
+shares of the minima are computed in turn with them (EM). Few keys hardly determine the sizes, lengths and spreads of a
+quantity. Its posterior therefore is a mean over them, with those of all other quantities at their most probable values
+(`quantity_law`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
-# Middle of the keyboard, MIDI, and half of its length, keys: the tilt is 1 at its ends.
-MIDDLE, HALF = 64.5, 43.5
-# Degrees of freedom of Student's t of single keys.
-STUDENT = 4.0
-# Priors over the spread of a quantity: medians of size and scatter, and standard deviation of their logarithms.
-EXPECTED_SMOOTH, EXPECTED_SCATTER, FACTOR = 0.3, 0.05, 1.0
-# Prior of the length of a smooth law, keys: three octaves and a half have about four independent values.
-EXPECTED_LENGTH, LENGTH_FACTOR = 14.0, 0.4
+from .quantity_law import (
+    STUDENT,
+    LawShape,
+    Observed,
+    Prior,
+    integrate,
+    key_variance,
+    law_covariance,
+    most_probable,
+)
+
 # Prior standard deviation of the logarithm of a key's velocity scale: the loudest layers of a library's keys differ by
 # about a quarter.
 VELOCITY_SCALE_SD = 0.25
@@ -46,25 +50,10 @@ ROUNDS = 4
 JITTER = 1e-9
 
 
-class Prior(NamedTuple):
-    """Standard deviations of an instrument from the literature, on the scale of the law."""
-
-    offset: float
-    slope_sd: float  # from the middle of the keyboard to its end
-    spread: float  # scale of smooth deviations and scatter
-    scatter: float | None = None  # median of the scatter of single keys, if it is not `EXPECTED_SCATTER` of the spread
-
-    @property
-    def medians(self) -> tuple[float, float, float]:
-        """Medians of the smooth size, the scatter and the length."""
-        scatter = EXPECTED_SCATTER * self.spread if self.scatter is None else self.scatter
-        return EXPECTED_SMOOTH * self.spread, scatter, EXPECTED_LENGTH
-
-
 class Measurement(NamedTuple):
     """One minimum of a key's fit, on the scales of the laws."""
 
-    weight: float  # of the posterior of the fit
+    weight: float  # relative to the other minima
     mean: np.ndarray  # [quantities]
     covariance: np.ndarray  # [quantities, quantities]
 
@@ -78,14 +67,6 @@ class KeyMeasurements:
     scale_direction: np.ndarray  # d: change of the quantities with the logarithm of the velocity scale [quantities]
 
 
-class LawShape(NamedTuple):
-    """Spreads of one quantity over the keyboard, on the scale of its law."""
-
-    smooth: float  # standard deviation of the Gaussian process
-    scatter: float  # of single keys
-    length: float  # of the Gaussian process, keys
-
-
 @dataclass(frozen=True, eq=False)
 class KeyboardPosterior:
     """Means and standard deviations on the scales of the laws; `at` are the requested keys."""
@@ -95,13 +76,14 @@ class KeyboardPosterior:
     value: np.ndarray  # literature + f + δ of the fitted keys [quantities, keys]
     value_sd: np.ndarray  # [quantities, keys]
     z: np.ndarray  # deviation of a fit from the prediction of all other keys, standard deviations [quantities, keys]
-    shapes: tuple[LawShape, ...]  # [quantities]
+    shapes: tuple[LawShape, ...]  # the most probable ones [quantities]
+    scatter_sd: np.ndarray  # standard deviations of δ of an unrecorded key [quantities]
     log_scale: np.ndarray  # s, logarithm of the velocity scale [keys]
     shares: tuple[np.ndarray, ...]  # of the minima of each key, given all keys
 
     def value_at(self, q: int, keys: Sequence[int], at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Value and standard deviation of quantity `q` at every key of `at`; an unrecorded key adds the scatter."""
-        value, sd = self.law[q].copy(), np.hypot(self.law_sd[q], self.shapes[q].scatter)
+        value, sd = self.law[q].copy(), np.hypot(self.law_sd[q], self.scatter_sd[q])
         index = np.searchsorted(at, keys)
         value[index], sd[index] = self.value[q], self.value_sd[q]
         return value, sd
@@ -112,7 +94,10 @@ class _System(NamedTuple):
 
     inverse: np.ndarray  # of the covariance of the fits [n, n]
     solved: np.ndarray  # inverse times the deviations of the fits from the literature [n]
-    log_density: float
+
+    def blocks(self, data: _Data) -> np.ndarray:
+        """The inverse as [quantities, keys, quantities, keys]."""
+        return self.inverse.reshape(*data.y.shape, *data.y.shape)
 
 
 class _Model(NamedTuple):
@@ -145,23 +130,34 @@ def keyboard_posterior(
     """
     x, places = np.array([key.midi for key in keys], float), np.searchsorted(at, [key.midi for key in keys])
     reference = literature[:, places]
-    weights = np.ones(reference.shape)
     shares = [np.array([one.weight for one in key.minima]) / sum(one.weight for one in key.minima) for key in keys]
-    shapes = [LawShape(*prior.medians) for prior in priors]
+    model = _Model(np.ones(reference.shape), [LawShape(*prior.medians) for prior in priors], priors)
     for _ in range(ROUNDS):
         data = _data(keys, shares, x, reference)
-        shapes = _most_probable(data, weights, shapes, priors)
-        system = _solve(data, weights, shapes, priors)
-        weights = _student_weights(system, weights, shapes)
+        model = model._replace(shapes=_most_probable(data, model))
+        system = _solve(data, model)
+        model = model._replace(weights=_student_weights(system, model))
         shares = [_shares(system, data, reference, i, key) for i, key in enumerate(keys)]
     data = _data(keys, shares, x, reference)
-    system, model = _solve(data, weights, shapes, priors), _Model(weights, shapes, priors)
-    law, law_sd = _laws(data, system, model, literature, np.asarray(at, float))
-    value, value_sd = _key_values(data, system, model, law[:, places])
+    system, everywhere = _solve(data, model), np.asarray(at, float)
+    laws = [
+        integrate(_observed(system, data, model, q), prior, model.shapes[q], everywhere)
+        for q, prior in enumerate(priors)
+    ]
     z = np.stack([_deviation(system, data, model, i) for i in range(len(keys))], axis=1)
     solved = system.solved.reshape(reference.shape)
     scale = [-(VELOCITY_SCALE_SD**2) * key.scale_direction @ solved[:, i] for i, key in enumerate(keys)]
-    return KeyboardPosterior(law, law_sd, value, value_sd, z, tuple(shapes), np.array(scale), tuple(shares))
+    return KeyboardPosterior(
+        law=literature + [law.law for law in laws],
+        law_sd=np.array([law.law_sd for law in laws]),
+        value=reference + [law.value for law in laws],
+        value_sd=np.array([law.value_sd for law in laws]),
+        z=z,
+        shapes=tuple(model.shapes),
+        scatter_sd=np.array([law.scatter_sd for law in laws]),
+        log_scale=np.array(scale),
+        shares=tuple(shares),
+    )
 
 
 def _data(keys, shares, x: np.ndarray, reference: np.ndarray) -> _Data:
@@ -177,65 +173,56 @@ def _data(keys, shares, x: np.ndarray, reference: np.ndarray) -> _Data:
     return _Data(x, y, np.array(noise))
 
 
-def _law_covariance(a: np.ndarray, b: np.ndarray, shape: LawShape, prior: Prior) -> np.ndarray:
-    """Covariance of f between keys `a` and `b`."""
-    tilt = np.outer(a - MIDDLE, b - MIDDLE) / HALF**2
-    near = np.exp(-0.5 * ((a[:, None] - b) / shape.length) ** 2)
-    return prior.offset**2 + prior.slope_sd**2 * tilt + shape.smooth**2 * near
+def _spread(x: np.ndarray, model: _Model, q: int) -> np.ndarray:
+    """Covariance of f + δ of one quantity at the fitted keys [keys, keys]."""
+    shape = model.shapes[q]
+    return law_covariance(x, x, shape, model.priors[q]) + np.diag(key_variance(model.weights[q], shape))
 
 
-def _solve(data: _Data, weights: np.ndarray, shapes: Sequence[LawShape], priors: Sequence[Prior]) -> _System:
+def _solve(data: _Data, model: _Model) -> _System:
     quantities, count = data.y.shape
     total = np.zeros((quantities, count, quantities, count))
     keys = np.arange(count)
     total[:, keys, :, keys] = data.noise
-    for q, (shape, prior) in enumerate(zip(shapes, priors, strict=True)):
-        total[q, :, q] += _law_covariance(data.x, data.x, shape, prior) + np.diag(shape.scatter**2 / weights[q])
+    for q in range(quantities):
+        total[q, :, q] += _spread(data.x, model, q)
     matrix = total.reshape(quantities * count, -1)
     matrix[np.diag_indices(len(matrix))] *= 1 + JITTER
-    lower = np.linalg.cholesky(matrix)
-    root = np.linalg.inv(lower)
+    root = np.linalg.inv(np.linalg.cholesky(matrix))
     inverse = root.T @ root
-    y = data.y.ravel()
-    solved = inverse @ y
-    return _System(inverse, solved, float(-0.5 * y @ solved - np.log(np.diag(lower)).sum()))
+    return _System(inverse, inverse @ data.y.ravel())
 
 
-def _most_probable(
-    data: _Data, weights: np.ndarray, start: Sequence[LawShape], priors: Sequence[Prior]
-) -> list[LawShape]:
-    """Shapes with the highest posterior density given the fits."""
-    quantities, count = data.y.shape
-    centre = np.log([prior.medians for prior in priors]).T
-    sd = np.array([FACTOR, FACTOR, LENGTH_FACTOR])[:, None]
-
-    def shapes_at(flat: np.ndarray) -> list[LawShape]:
-        return [LawShape(*column) for column in np.exp(flat.reshape(3, -1)).T]
-
-    def cost(flat: np.ndarray) -> tuple[float, np.ndarray]:
-        shapes = shapes_at(flat)
-        system = _solve(data, weights, shapes, priors)
-        blocks = (np.outer(system.solved, system.solved) - system.inverse).reshape(quantities, count, quantities, count)
-        gradient = np.empty((3, quantities))
-        distance = (data.x[:, None] - data.x) ** 2
-        for q, shape in enumerate(shapes):
-            block = blocks[q, :, q]
-            near = shape.smooth**2 * np.exp(-0.5 * distance / shape.length**2)
-            gradient[0, q] = np.sum(block * near)
-            gradient[1, q] = np.sum(np.diag(block) * shape.scatter**2 / weights[q])
-            gradient[2, q] = 0.5 * np.sum(block * near * distance) / shape.length**2
-        deviation = (flat.reshape(3, -1) - centre) / sd
-        return -system.log_density + 0.5 * np.sum(deviation**2), (-gradient + deviation / sd).ravel()
-
-    flat = np.log(np.array(start).T).ravel()
-    bounds = [(c - 4 * s, c + 4 * s) for c, s in zip(centre.ravel(), np.repeat(sd, quantities), strict=True)]
-    found = minimize(cost, flat, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
-    return shapes_at(found.x)
+def _observed(system: _System, data: _Data, model: _Model, q: int) -> Observed:
+    """Values of one quantity given all others: the errors of a fit are correlated."""
+    own = np.linalg.inv(system.blocks(data)[q, :, q])
+    y = own @ system.solved.reshape(data.y.shape)[q]
+    return Observed(data.x, y, own - _spread(data.x, model, q), model.weights[q])
 
 
-def _student_weights(system: _System, weights: np.ndarray, shapes: Sequence[LawShape]) -> np.ndarray:
+def _most_probable(data: _Data, model: _Model) -> list[LawShape]:
+    """Shapes of higher posterior density, one quantity at a time."""
+    system = _solve(data, model)
+    for q, prior in enumerate(model.priors):
+        before, shapes = _spread(data.x, model, q), list(model.shapes)
+        shapes[q] = most_probable(_observed(system, data, model, q), prior, shapes[q])
+        model = model._replace(shapes=shapes)
+        system = _changed(system, data, q, _spread(data.x, model, q) - before)
+    return list(model.shapes)
+
+
+def _changed(system: _System, data: _Data, q: int, change: np.ndarray) -> _System:
+    """The system after a change of the covariance of one quantity (Woodbury's identity)."""
+    count = len(data.x)
+    rows = system.inverse[q * count : (q + 1) * count]
+    own = rows[:, q * count : (q + 1) * count]
+    inverse = system.inverse - rows.T @ np.linalg.solve(np.eye(count) + change @ own, change @ rows)
+    return _System(inverse, inverse @ data.y.ravel())
+
+
+def _student_weights(system: _System, model: _Model) -> np.ndarray:
     """Weights of Student's t from the posterior mean square of δ [quantities, keys] (EM)."""
-    scatter = np.array([shape.scatter for shape in shapes])[:, None] ** 2
+    weights, scatter = model.weights, np.array([shape.scatter for shape in model.shapes])[:, None] ** 2
     prior = scatter / weights
     mean = prior * system.solved.reshape(weights.shape)
     variance = prior - prior**2 * np.diag(system.inverse).reshape(weights.shape)
@@ -274,35 +261,3 @@ def _deviation(system: _System, data: _Data, model: _Model, i: int) -> np.ndarra
     scatter = np.array([shape.scatter**2 for shape in model.shapes])
     variance = np.diag(prediction) - scatter / model.weights[:, i] + scatter
     return difference / np.sqrt(variance + np.diag(data.noise[i]))
-
-
-def _laws(data: _Data, system: _System, model: _Model, literature: np.ndarray, at: np.ndarray) -> Any:
-    """Mean and standard deviation of literature + f at keys `at` [quantities, at]."""
-    quantities, count = data.y.shape
-    solved = system.solved.reshape(quantities, count)
-    blocks = system.inverse.reshape(quantities, count, quantities, count)
-    mean, sd = literature.copy(), np.empty(literature.shape)
-    for q, (shape, prior) in enumerate(zip(model.shapes, model.priors, strict=True)):
-        cross = _law_covariance(at, data.x, shape, prior)
-        own = np.diag(_law_covariance(at, at, shape, prior))
-        mean[q] += cross @ solved[q]
-        sd[q] = _root(own - np.einsum("ai,ij,aj->a", cross, blocks[q, :, q], cross))
-    return mean, sd
-
-
-def _key_values(data: _Data, system: _System, model: _Model, law: np.ndarray) -> Any:
-    """Mean and standard deviation of the values of the fitted keys, from their laws [quantities, keys]."""
-    quantities, count = data.y.shape
-    solved = system.solved.reshape(quantities, count)
-    blocks = system.inverse.reshape(quantities, count, quantities, count)
-    mean, sd = law.copy(), np.empty(law.shape)
-    for q, (shape, prior) in enumerate(zip(model.shapes, model.priors, strict=True)):
-        scatter = shape.scatter**2 / model.weights[q]
-        covariance = _law_covariance(data.x, data.x, shape, prior) + np.diag(scatter)
-        mean[q] += scatter * solved[q]
-        sd[q] = _root(np.diag(covariance - covariance @ blocks[q, :, q] @ covariance))
-    return mean, sd
-
-
-def _root(variance: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(variance, 0.0))
