@@ -93,9 +93,10 @@ def main() -> None:
             guess = piano.keys[key.midi].note
             rows: list[dict[str, Any]] = []
             own = whole.keys[key.midi]
-            for rank, layer in enumerate(own.fit.layers):
+            layers = own.fit.layers if own.fit else ()
+            for rank, layer in enumerate(layers):
                 target = tool.load(str(files[Path(layer.file).name]))
-                at = round(rank * (len(near.summary.layers) - 1) / max(len(key.summary.layers) - 1, 1))
+                at = round(rank * (len(near.summary.layers) - 1) / max(len(layers) - 1, 1))
                 neighbour = files[Path(near.summary.layers[at].file).name]
                 sounds = {
                     "law": rendered(guess._replace(modal_response=None), layer.velocity),
