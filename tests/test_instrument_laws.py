@@ -316,7 +316,7 @@ def test_the_covariance_of_the_quantities_is_that_of_many_draws():
     errors |= dict.fromkeys(("kappa", "b1", "b2", "mu", "M_H", "v_H0"), 2e-3)
     document = fit_document(note, errors, (1.0, 2.0))
     fit = convert(document, Fit, "fit.json", "")
-    (key,) = [measurements_of(fit, note, 60)]
+    (key,) = [measurements_of(fit, note, 60, 0.0)]
     covariance = covariance_of(errors, (1.0, 2.0), note.hammer.p, 0.3e-3)
     base = np.log([fit.minima[0].parameters.get(n, 1.0) for n in covariance.names])
     rows = []

@@ -29,7 +29,7 @@ from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from .key_measurements import NEEDED, fitted_values, measurements_of
-from .key_quantities import LOUDEST_VELOCITY, soft_hammer, within_ranges
+from .key_quantities import LOUDEST_VELOCITY, soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
 
 # Number of lowest partials whose beating and decays are listed.
@@ -194,7 +194,8 @@ def _load_key(file: Path) -> KeyFit:
     )
     scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
     note, summary = _scaled(note._replace(hammer=hammer, gain=gain, path=path), summary, scale)
-    return KeyFit(midi, note, measurements_of(fit, note, midi), fitted_values(fit, note, midi), summary)
+    own = fit, note, midi, stroke_level(note)
+    return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary)
 
 
 def scale_key(key: KeyFit, scale: float) -> KeyFit:

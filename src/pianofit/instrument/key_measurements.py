@@ -42,7 +42,7 @@ CENTS = 1200 / math.log(2)
 GIVEN = 1e-12
 
 
-def measurements_of(fit: Fit, note: Note, midi: int) -> KeyMeasurements:
+def measurements_of(fit: Fit, note: Note, midi: int, level: float) -> KeyMeasurements:
     """Return the measurements of a key.
 
     Parameters
@@ -50,17 +50,16 @@ def measurements_of(fit: Fit, note: Note, midi: int) -> KeyMeasurements:
     fit : content of its `fit.json`.
     note : its note on the velocity scale of the instrument.
     midi : number of the key.
+    level : its `stroke_level`, dB.
     """
-    level = stroke_level(note)
     minima = tuple(_measurement(fit, note, midi, minimum, level, without_prior=True) for minimum in fit.minima)
     minima = minima or (_without_intervals(note, midi, level),)
     direction = _scale_direction(note, midi, level) if fit.velocity_scale_open else np.zeros(len(LAW_QUANTITIES))
     return KeyMeasurements(midi, minima, direction)
 
 
-def fitted_values(fit: Fit, note: Note, midi: int) -> Measurement:
+def fitted_values(fit: Fit, note: Note, midi: int, level: float) -> Measurement:
     """Return the best minimum of a key as its fit reports it, with its prior; arguments as of `measurements_of`."""
-    level = stroke_level(note)
     if not fit.minima:
         return _without_intervals(note, midi, level)
     return _measurement(fit, note, midi, fit.minima[0], level, without_prior=False)
