@@ -17,7 +17,7 @@ from instrument_cases import true_instrument
 
 from pianofit.export import SAMPLERS, ExportOptions, export_sampler
 from pianofit.export.layers import key_ranges, layer_velocities
-from pianofit.playback.voice import damper_rate
+from pianofit.instrument.dampers import damper_rate
 from pianofit.result.comparison import fractional_lag
 
 KEYS = [55, 60, 100]

@@ -18,8 +18,8 @@ from pianofit.cli import app
 from pianofit.errors import ParameterError
 from pianofit.export.faust import tables, write, write_faust
 from pianofit.instrument import Instrument
+from pianofit.instrument.dampers import damper_rate
 from pianofit.model.modal_response import VelocityGain
-from pianofit.playback.voice import damper_rate
 
 RATE = 48_000
 OWN, ONE, LAW = 50, 55, 67  # ONE has one measured stroke

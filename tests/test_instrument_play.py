@@ -10,13 +10,14 @@ import pytest
 from instrument_cases import notes_of, piano_of, true_instrument, true_note, uneven_note, with_notes
 
 from pianofit.errors import FitError, ParameterError
+from pianofit.instrument.dampers import LAST_DAMPER, damper_rate
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.model import simulate
 from pianofit.model.modal_response import ModalResponse
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
 from pianofit.playback import Song, limit, render_song
-from pianofit.playback.voice import LAST_DAMPER, StringVoice, damper_rate
+from pianofit.playback.voice import StringVoice
 
 RATE = 48_000
 PIANO = true_instrument()

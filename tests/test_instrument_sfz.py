@@ -19,9 +19,9 @@ from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler, parse_keys
 from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
+from pianofit.instrument.dampers import damper_rate
 from pianofit.instrument.key_quantities import LOUDEST_VELOCITY
 from pianofit.model.modes import mode_frequencies
-from pianofit.playback.voice import damper_rate
 from pianofit.result.comparison import fractional_lag
 
 RATE = 48_000

@@ -26,10 +26,11 @@ from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import RelaxingHammer
 from pianofit.instrument import Instrument, write_instrument
+from pianofit.instrument.dampers import damper_rate
 from pianofit.model.modal_response import VelocityGain
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback import Song, render_song
-from pianofit.playback.voice import StringVoice, damper_rate
+from pianofit.playback.voice import StringVoice
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
 from pianofit.web import write_playable_page

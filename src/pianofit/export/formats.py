@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 from ..analysis.note_names import midi_to_note
 from ..instrument import Instrument
+from ..instrument.dampers import LAST_DAMPER
 from ..io.files import printable
-from ..playback.voice import LAST_DAMPER
 from .layers import LOUDEST, SampledKey, Zone, format_keys, silent_keys
 
 # Fall of an SFZ envelope during `ampeg_release`, nepers. The format does not define it; this is the value of sfizz.

@@ -19,9 +19,10 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
+from ..instrument.dampers import damper_rate
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
-from ..playback.voice import StringVoice, damper_rate
+from ..playback.voice import StringVoice
 from ..threads import one_blas_thread
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
 from .layers import LOUDEST, SampledKey, key_ranges, layer_velocities, silent_keys

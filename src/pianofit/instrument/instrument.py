@@ -9,7 +9,10 @@ from ..analysis.note_names import midi_to_note
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.note import Note
+from ..schema.dampers import Dampers
 from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
+from .noise_floor import NoiseFloor
+from .release_noise import ReleaseNoise
 
 # States of a key, and what they mean.
 KEY_STATES: dict[KeyState, str] = {
@@ -54,6 +57,9 @@ class Instrument:
     laws : keyboard laws by name.
     warnings : limitations.
     even : how far recorded keys were moved towards the laws, from 0 (as fitted) to 1.
+    dampers : decay rates that dampers add.
+    release : noise of keys that are let go, if it was recorded.
+    noise : noise floor of the recordings, if they have one.
 
     Examples
     --------
@@ -75,6 +81,9 @@ class Instrument:
     laws: Mapping[str, KeyboardLaw] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     even: float = 0.0
+    dampers: Dampers = field(default_factory=Dampers)
+    release: ReleaseNoise | None = None
+    noise: NoiseFloor | None = None
 
     def __repr__(self) -> str:
         return f"Instrument({self.name!r}, {counted(len(self.keys), 'key')}, {len(self.recorded)} recorded)"

@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from ..dsp.damped_sums import AMPLITUDE_FLOOR, sum_damped_modes, z_transform_at_poles
+from ..instrument.dampers import damper_rate
 from ..model.modal_response import ForcePulse
 from ..model.note import Note
 from ..model.output_path import apply_filter
@@ -25,18 +26,6 @@ from .repeated_strike import StringTables, strike_string, string_tables
 CHANNELS = 2
 # Reduced rates of knocks in exports and pages, Hz: divisors of 48,000 Hz, the best first.
 KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000, 4_000)
-LAST_DAMPER = 90  # F#6; the strings above have none
-# Decay rate that a damper adds to every mode, 1/s, at the lowest key and at the last key with a damper: about 0.3 s to
-# 0.12 s for 60 dB. Assumed values; fits do not include dampers.
-DAMPER = (25.0, 60.0)
-
-
-def damper_rate(midi: int) -> float:
-    """Decay rate that the damper adds, 1/s; 0 for keys without damper."""
-    if midi > LAST_DAMPER:
-        return 0.0
-    x = min(max((midi - 21) / (LAST_DAMPER - 21), 0.0), 1.0)
-    return DAMPER[0] * (DAMPER[1] / DAMPER[0]) ** x
 
 
 class ModeBank:

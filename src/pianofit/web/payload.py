@@ -18,11 +18,12 @@ from ..dsp.filters import resample
 from ..errors import ParameterError
 from ..felt.soft_skin import SOFT_SKIN, SoftHammer
 from ..instrument import Instrument
+from ..instrument.dampers import damper_rate
 from ..literature import reference_compression
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
-from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
+from ..playback.voice import CHANNELS, KNOCK_RATES
 from ..schema.instrument import KeyValue
 
 # Samples of a knock that share a scale.

@@ -12,9 +12,10 @@ import numpy as np
 
 from ...errors import ParameterError
 from ...instrument import Instrument
+from ...instrument.dampers import damper_rate
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
-from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice, damper_rate
+from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice
 from ...report.html import asset
 from ...threads import one_blas_thread
 from ..layers import LOUDEST
