@@ -75,3 +75,73 @@ def stroke(impulse: np.ndarray, rate: float, velocity: float) -> np.ndarray:
     t = np.arange(0.0, 0.003 * velocity**-0.3, 1 / rate)
     force = velocity * np.sin(np.pi * t / (t[-1] + 1 / rate)) ** 2 / rate
     return scipy.signal.oaconvolve(impulse, force)[: len(impulse)]
+
+
+class StringsOnBridge:
+    """Strings across one resistive bridge, at the end x = L of each; motion and energy of their partials over time.
+
+    The bridge has one degree of freedom, without a spring and with hardly a mass. The matrix exponential over one step
+    is taken to powers. Stiff or not, each string is a line of masses with hinged ends.
+    """
+
+    POINTS, LENGTH, DENSITY, LOSS = 40, 0.62, 6e-3, 0.2  # masses; m; kg/m; b1, 1/s
+    BRIDGE_MASS = 1e-5  # kg
+
+    def __init__(self, f0: tuple[float, ...], resistance: float):
+        n, count = self.POINTS, len(f0)
+        h, free = self.LENGTH / (n + 1), count * n + 1
+        self.mass, stiff, lossy = np.full(free, self.DENSITY * h), np.zeros((free, free)), np.zeros((free, free))
+        for line, frequency in enumerate(f0):
+            own = np.arange(line * n, (line + 1) * n)
+            stretch = np.zeros((n + 1, free))
+            stretch[np.arange(n + 1), [*own, count * n]] = 1
+            stretch[np.arange(1, n + 1), own] -= 1
+            stiff += self.tension(frequency) / h * stretch.T @ stretch
+            lossy[own, own] += 2 * self.LOSS * self.DENSITY * h
+        self.mass[-1], lossy[-1, -1] = self.BRIDGE_MASS, resistance
+        self.A = np.block([
+            [np.zeros((free, free)), np.eye(free)],
+            [-stiff / self.mass[:, None], -lossy / self.mass[:, None]],
+        ])  # fmt: skip
+        self.f0, self.stiff, self.resistance = f0, stiff, resistance
+
+    def tension(self, f0: float) -> float:
+        """Tension of a string, N."""
+        return self.DENSITY * (2 * self.LENGTH * f0) ** 2
+
+    def pole(self, line: int, k: int) -> complex:
+        """Pole of partial k of a string if it is alone on this bridge, 1/s."""
+        alone = StringsOnBridge((self.f0[line],), self.resistance)
+        poles = scipy.linalg.eigvals(alone.A)
+        return sorted(poles[poles.imag > 1], key=lambda pole: pole.imag)[k - 1]
+
+    def impulse(self, line: int, place: float) -> np.ndarray:
+        """State after an impulse of 1 N s at a place, a fraction of the length, on one string."""
+        state = np.zeros(2 * len(self.mass))
+        at = line * self.POINTS + round(place * (self.POINTS + 1)) - 1
+        state[len(self.mass) + at] = 1 / self.mass[at]
+        return state
+
+    def motion(self, state: np.ndarray, seconds: float, count: int) -> np.ndarray:
+        """States at `count` times `seconds` apart, from time 0 on [times, states]."""
+        step = scipy.linalg.expm(self.A * seconds)
+        states = [state]
+        for _ in range(count - 1):
+            states.append(step @ states[-1])
+        return np.array(states)
+
+    def amplitude(self, states: np.ndarray, line: int, k: int, omega: float) -> np.ndarray:
+        """√(M/2) ω C of partial k for a displacement Re(C), complex [times]."""
+        n, own = self.POINTS, np.arange(line * self.POINTS, (line + 1) * self.POINTS)
+        shape = np.sin(np.pi * k * np.arange(1, n + 1) / (n + 1)) * 2 / (n + 1)
+        # The end moves with the bridge: the straight line to it is no part of a mode.
+        straight = np.outer(states[:, len(self.mass) - 1], np.arange(1, n + 1) / (n + 1))
+        q = (states[:, own] - straight) @ shape
+        velocity = states[:, len(self.mass) + own] @ shape
+        return np.sqrt(self.DENSITY * self.LENGTH / 2) * (omega * q - 1j * velocity)
+
+    def energy(self, states: np.ndarray) -> np.ndarray:
+        """Energy of strings and bridge, J [times]."""
+        free = len(self.mass)
+        q, v = states[:, :free], states[:, free:]
+        return 0.5 * np.einsum("ti,ij,tj->t", q, self.stiff, q) + 0.5 * v**2 @ self.mass

@@ -10,20 +10,20 @@ import pytest
 from instrument_cases import notes_of, piano_of, true_instrument, true_note, uneven_note, with_notes
 
 from pianofit.errors import FitError, ParameterError
-from pianofit.instrument.dampers import LAST_DAMPER, damper_rate
+from pianofit.instrument.dampers import LAST_DAMPER, Dampers
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.model import simulate
 from pianofit.model.modal_response import ModalResponse
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
-from pianofit.playback import Song, limit, render_song
+from pianofit.playback import PlayOptions, Song, limit, render_song
 from pianofit.playback.voice import StringVoice
 
 RATE = 48_000
 PIANO = true_instrument()
 
 
-def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> Song:
+def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, int], ...] = ()) -> Song:
     """Notes of (start, stop, key, velocity)."""
     keys: dict[int, list[tuple[float, int]]] = {}
     for start, stop, key, velocity in notes:
@@ -33,10 +33,10 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool],
     return Song(keys, list(pedal), max(stop for _, stop, _, _ in notes), len(notes))
 
 
-def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
-    """A song far below the threshold of the limiter, 12 s."""
+def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, int], ...] = ()) -> np.ndarray:
+    """A song far below the threshold of the limiter, without resonance, 12 s."""
     quiet = with_notes(PIANO, {m: v._replace(gain=1e-2 * v.gain) for m, v in notes_of(PIANO).items()})
-    done = render_song(quiet, song(*notes, pedal=pedal), RATE)
+    done = render_song(quiet, song(*notes, pedal=pedal), RATE, options=PlayOptions(resonance=False))
     assert done.gain_db == done.limited_db == 0
     assert len(done.samples) == 1
     return np.pad(done.samples[0], (0, 12 * RATE))[: 12 * RATE]
@@ -137,17 +137,23 @@ def test_a_damper_adds_its_rate_to_every_mode(kind):
     free, damped = (StringVoice(kind(50), 50, RATE) for _ in range(2))
     for string in (free, damped):
         stroke_and_ring(string, 2.0, RATE // 2)  # the knock is over
-    damped.damped = True
+    damped.contact = 0.4
     n, late = 4800, free.lead
-    expected = free.ring(n + late)[:, late:] * np.exp(-damper_rate(50) * np.arange(n) / RATE)
-    assert damped.ring(n + late)[:, late:] == pytest.approx(expected, abs=1e-7)  # modes end where they are inaudible
-    assert damper_rate(21) < damper_rate(60) < damper_rate(LAST_DAMPER)
-    assert damper_rate(LAST_DAMPER + 1) == 0
+    rates = Dampers().rates(50, free.modes.pole.imag / (2 * np.pi))
+    state = free.modes.state[:, None] * np.exp((free.modes.pole - 0.4 * rates)[:, None] * np.arange(n) / RATE)
+    assert damped.ring(n + late)[:, late:] == pytest.approx((free.modes.pattern @ state).real, abs=1e-7)
+
+
+def test_high_keys_have_no_dampers():
+    hz = np.array([1000.0, 2000.0])
+    assert not Dampers().rates(LAST_DAMPER + 1, hz).any()
+    assert Dampers().rates(LAST_DAMPER, hz).all()
 
 
 def test_one_channel_is_heard_in_both_and_strokes_stay_together():
     piano = piano_of({45: rung_note(45), 60: uneven_note(60)})
-    both = render_song(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE).samples
+    dry = PlayOptions(resonance=False)
+    both = render_song(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE, options=dry).samples
     one, two = (render_song(replace(piano, keys={m: piano.keys[m]}), song(x), RATE).samples
                 for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip
     assert (len(both), len(one), len(two)) == (2, 2, 1)
@@ -161,7 +167,7 @@ def test_one_channel_is_heard_in_both_and_strokes_stay_together():
 def test_keys_and_pedal_move_the_dampers():
     held = played((0.0, 3.0, 55, 80))
     short = played((0.0, 0.5, 55, 80), (0.0, 3.0, 96, 1))
-    pedalled = played((0.0, 0.5, 55, 80), (0.0, 3.0, 96, 1), pedal=((0.2, True), (1.5, False)))
+    pedalled = played((0.0, 0.5, 55, 80), (0.0, 3.0, 96, 1), pedal=((0.2, 127), (1.5, 0)))
     assert rms_db(held, 1.0, 1.4) > -80
     assert rms_db(short, 1.0, 1.4) < rms_db(held, 1.0, 1.4) - 60
     assert rms_db(pedalled, 1.0, 1.4) == pytest.approx(rms_db(held, 1.0, 1.4), abs=0.1)
@@ -171,7 +177,7 @@ def test_keys_and_pedal_move_the_dampers():
 
 
 def test_a_late_pedal_catches_what_still_sounds():
-    caught = played((0.0, 0.5, 40, 90), (0.0, 3.0, 96, 1), pedal=((0.55, True), (3.0, False)))
+    caught = played((0.0, 0.5, 40, 90), (0.0, 3.0, 96, 1), pedal=((0.55, 127), (3.0, 0)))
     lost = played((0.0, 0.5, 40, 90), (0.0, 3.0, 96, 1))
     assert rms_db(caught, 1.0, 1.3) > rms_db(lost, 1.0, 1.3) + 60
     assert rms_db(caught, 1.0, 1.3) < rms_db(played((0.0, 3.0, 40, 90)), 1.0, 1.3) - 5
@@ -179,7 +185,7 @@ def test_a_late_pedal_catches_what_still_sounds():
 
 def test_nothing_clicks_where_no_hammer_strikes():
     """When a damper or the pedal moves, the second difference of the sound is not larger than just before."""
-    sound = played((0.0, 0.6, 45, 100), (0.0, 1.0, 60, 70), pedal=((0.8, True), (1.3, False)))
+    sound = played((0.0, 0.6, 45, 100), (0.0, 1.0, 60, 70), pedal=((0.8, 127), (1.3, 0)))
     bend = np.abs(np.diff(sound, 2))
     for at in (0.6, 0.8, 1.0, 1.3):
         here = round(at * RATE)
@@ -193,7 +199,7 @@ def test_keys_sound_together_as_they_do_alone():
 
 
 def test_what_is_held_at_the_end_is_let_go():
-    done = render_song(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, True)], 0.1, 2), RATE)
+    done = render_song(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, 127)], 0.1, 2), RATE)
     assert done.samples.shape[-1] <= 5.1 * RATE
     assert np.abs(done.samples[:, -20:]).max() < 1e-4
     assert rms_db(done.samples[0], 2.9, 3.0) > rms_db(done.samples[0], 3.4, 3.6) + 20

@@ -51,7 +51,7 @@ USES = {
     "batch": "analysis fitting io model parameters recording report schema",
     "instrument": "analysis dsp felt io literature model parameters report schema",
     "listening": "io recording report schema",
-    "playback": "dsp felt instrument io model parameters threads",
+    "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp instrument io model playback report threads",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"

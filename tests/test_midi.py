@@ -56,7 +56,8 @@ def test_a_song_is_read_in_time():
         on(60, 0, 480, channel=3), on(60, 0, 480, channel=4), mido.Message("note_off", note=61),
     ), "song")  # fmt: skip
     assert found.keys == {60: [(0.0, 80), (2.0, 0), (3.5, 5), (3.5, 6), (5.5, 0)], 64: [(0.5, 70), (2.5, 0)]}
-    assert found.pedal == [(0.5, True), (3.5, False)]
+    assert found.pedal == [(0.5, 64), (3.5, 63)]
+    assert found.release_velocities[64, 2.5] == 64
     assert (found.notes, found.seconds) == (4, 5.5)
 
 

@@ -239,6 +239,11 @@ def reference_compression(midi: float) -> float:
     return float(REFERENCE_SHARE * braked)
 
 
+def typical_strings(midi: float) -> float:
+    """Return the number of strings of a note in grand pianos. Between registers it is not whole."""
+    return _curve("strings")(midi)
+
+
 def _typical(midi: float, name: str) -> Preset:
     f0 = hertz_of(midi)
     at = {name: _curve(name)(midi) for name in TABLES}

@@ -50,7 +50,9 @@ def sum_damped_modes(
     blocks = min(-(-count // block), BLOCKS_PER_CHECK)
     if audibility_threshold is None:
         audibility_threshold = np.full(len(pole), AMPLITUDE_FLOOR * np.abs(amplitude).max())
-    within = _powers_within_block(np.asarray(pole / rate, complex).tobytes())
+    log_z = np.asarray(pole / rate, complex)
+    # Few samples, as between movements of a damper, do not pay for a whole block of powers.
+    within = _powers_within_block(log_z.tobytes()) if count > LARGEST_BLOCK * BLOCKS_PER_CHECK else _parts(log_z, block)
     begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks + 1], the last for the next chunk
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > audibility_threshold).any(axis=0)
@@ -78,7 +80,12 @@ def z_transform_at_poles(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=4)  # a played key needs free and damped modes, and modes at the contact rate
 def _powers_within_block(log_z: bytes) -> np.ndarray:
     """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], with log z as bytes."""
-    z = powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
-    parts = np.stack([np.real(z), -np.imag(z)], axis=1)
+    parts = _parts(np.frombuffer(log_z, complex), LARGEST_BLOCK)
     parts.flags.writeable = False
     return parts
+
+
+def _parts(log_z: np.ndarray, count: int) -> np.ndarray:
+    """Real part and negative imaginary part of z^n, n < count [modes, 2, count]."""
+    z = powers(log_z, count)
+    return np.stack([np.real(z), -np.imag(z)], axis=1)

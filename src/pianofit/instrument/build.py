@@ -21,6 +21,7 @@ from ..errors import ParameterError, check_range
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
+from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
 from .evened_keys import even_out
 from .guessed_keys import guess_response, recorded_keys, string_law
@@ -104,6 +105,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) 
         laws,
         tuple(_warnings(keys, posterior)),
         float(even),
+        bridge=measure_bridge((key.midi, key.note) for key in keys),
     )
 
 

@@ -75,7 +75,15 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     record, name = read_instrument_file(file), printable(file)
     keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
     keys = with_guessed_responses(keys, record.laws)
-    return Instrument(printable(record.name), keys, record.velocity, record.laws, record.warnings, record.even)
+    return Instrument(
+        printable(record.name),
+        keys,
+        record.velocity,
+        record.laws,
+        record.warnings,
+        record.even,
+        bridge=record.bridge,
+    )
 
 
 def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
@@ -112,6 +120,7 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         keys=tuple(_entry(midi, key, instrument.even) for midi, key in sorted(instrument.keys.items())),
         warnings=instrument.warnings,
         even=instrument.even,
+        bridge=instrument.bridge,
         versions=package_versions(),
     )
 

@@ -9,6 +9,7 @@ from ..analysis.note_names import midi_to_note
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.note import Note
+from ..schema.bridge import BridgeAdmittance
 from ..schema.dampers import Dampers
 from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
 from .noise_floor import NoiseFloor
@@ -60,6 +61,7 @@ class Instrument:
     dampers : decay rates that dampers add.
     release : noise of keys that are let go, if it was recorded.
     noise : noise floor of the recordings, if they have one.
+    bridge : admittance of the bridge, which couples the strings.
 
     Examples
     --------
@@ -84,6 +86,7 @@ class Instrument:
     dampers: Dampers = field(default_factory=Dampers)
     release: ReleaseNoise | None = None
     noise: NoiseFloor | None = None
+    bridge: BridgeAdmittance = field(default_factory=BridgeAdmittance)
 
     def __repr__(self) -> str:
         return f"Instrument({self.name!r}, {counted(len(self.keys), 'key')}, {len(self.recorded)} recorded)"

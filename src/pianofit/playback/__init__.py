@@ -1,6 +1,7 @@
-"""Rendering of MIDI songs: `load_song` reads a file, `render_song` plays it with one voice per key."""
+"""Rendering of MIDI songs: `load_song` reads a file, `render_song` plays it under all pedals."""
 
 from .midi import Song, load_song
-from .song import Performance, limit, render_song
+from .pedals import PedalRange
+from .song import Performance, PlayOptions, limit, render_song
 
-__all__ = ["Performance", "Song", "limit", "load_song", "render_song"]
+__all__ = ["PedalRange", "Performance", "PlayOptions", "Song", "limit", "load_song", "render_song"]

@@ -1,8 +1,8 @@
-"""A MIDI file as movements of keys and of the sustain pedal.
+"""A MIDI file as movements of keys and pedals.
 
-All channels except the tenth (drums) play on one piano. A key is down while any channel holds it. The pedal is a
-switch at half its travel (controller 64, value 64 of 127). Other controllers have no effect, the soft and the middle
-pedal included. Tempo changes are applied.
+All channels except the tenth (drums) play on one piano. A key is down while any channel holds it. Controllers 64, 66
+and 67 are the right, middle and left pedal; the highest value of all channels counts. Other controllers have no
+effect. Tempo changes are applied.
 
 Strokes of one key may overlap. A note-off then ends the oldest stroke of its key and channel. The damper falls when
 as many strokes have ended as have begun.
@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple
 
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
@@ -26,7 +27,9 @@ MOST_NOTES = 100_000
 MOST_SONG_SECONDS = 1800.0
 # Kinds of channel messages, controllers, and the channel of drums, from 0.
 NOTE_OFF, NOTE_ON, CONTROL = 8, 9, 11
-SUSTAIN, SOUND_OFF, NOTES_OFF = 64, 120, 123
+SUSTAIN, SOSTENUTO, SOFT, SOUND_OFF, NOTES_OFF = 64, 66, 67, 120, 123
+# Value from which on MIDI defines a pedal as down.
+SWITCH = 64
 DRUMS = 9
 # Values in place of a velocity: the end of one stroke, and of all strokes of a channel.
 END, END_ALL = 0, -1
@@ -36,11 +39,15 @@ class Song(NamedTuple):
     """Times in s from the first event; every list ascends in time."""
 
     keys: dict[int, list[tuple[float, int]]]  # MIDI key -> (time, velocity 1 to 127, or 0 for a release)
-    pedal: Sequence[tuple[float, int]]  # (time, 1 when the pedal goes down or moves while down, 0 when it goes up)
+    pedal: Sequence[tuple[float, int]]  # (time, position of the right pedal, 0 to 127)
     seconds: float  # to the last event
     notes: int
     ignored_notes: int = 0  # notes outside A0 to C8
     remarks: Sequence[str] = ()  # parts of the file that could not be read
+    sostenuto: Sequence[tuple[float, int]] = ()  # (time, position of the middle pedal, 0 to 127)
+    una_corda: Sequence[tuple[float, int]] = ()  # (time, position of the left pedal, 0 to 127)
+    # Release velocities, 0 to 127, by key and time, where the file states them.
+    release_velocities: Mapping[tuple[int, float], int] = MappingProxyType({})
 
 
 def load_song(path: str | os.PathLike[str]) -> Song:
@@ -86,18 +93,15 @@ def _song(file: MidiFile, name: str) -> Song:
     if file.seconds > MOST_SONG_SECONDS:
         raise RecordingError(f"{name}: lasts more than {MOST_SONG_SECONDS / 60:g} minutes; cut it into parts")
     notes, ignored = 0, 0
-    pedal: list[tuple[float, int]] = []
-    pedal_channels = set[int]()  # that hold the pedal down
+    pedals: dict[int, list[tuple[float, int, int]]] = {SUSTAIN: [], SOSTENUTO: [], SOFT: []}
+    release_velocities: dict[tuple[int, float], int] = {}
     key_events = defaultdict[int, defaultdict[int, list[_KeyEvent]]](lambda: defaultdict(list))  # by key and channel
     used_keys = defaultdict[int, set[int]](set)  # channel -> keys with events since its last "all notes off"
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
-        if kind == CONTROL and first == SUSTAIN:
-            down = int(second >= 64)
-            if down or pedal_channels == {channel}:
-                pedal.append((now, down))
-            (pedal_channels.add if down else pedal_channels.discard)(channel)
+        if kind == CONTROL and first in pedals:
+            pedals[first].append((now, channel, second))
         elif kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
             for key in used_keys.pop(channel, ()):
                 key_events[key][channel].append(_KeyEvent(order, now, END_ALL))
@@ -107,11 +111,36 @@ def _song(file: MidiFile, name: str) -> Song:
                 notes += velocity > 0
                 used_keys[channel].add(first)
                 key_events[first][channel].append(_KeyEvent(order, now, velocity))
+                if kind == NOTE_OFF:
+                    release_velocities[first, now] = second
             else:  # sample players use such notes as key switches
                 ignored += velocity > 0
     _check_count(notes, name, file.remarks)
     keys = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
-    return Song(keys, pedal, file.seconds, notes, ignored, file.remarks)
+    moved = {controller: _highest_values(changes) for controller, changes in pedals.items()}
+    return Song(
+        keys,
+        moved[SUSTAIN],
+        file.seconds,
+        notes,
+        ignored,
+        file.remarks,
+        moved[SOSTENUTO],
+        moved[SOFT],
+        release_velocities,
+    )
+
+
+def _highest_values(changes: Sequence[tuple[float, int, int]]) -> list[tuple[float, int]]:
+    """Combine a controller of several channels, (seconds, channel, value) in time order: the highest value counts."""
+    held: dict[int, int] = {}
+    combined: list[tuple[float, int]] = []
+    for seconds, channel, value in changes:
+        held[channel] = value
+        highest = max(held.values())
+        if highest != (combined[-1][1] if combined else 0):
+            combined.append((seconds, highest))
+    return combined
 
 
 def _check_count(notes: int, name: str, remarks: Sequence[str]) -> None:

@@ -1,7 +1,8 @@
-"""A song on an instrument: all keys are rendered separately, summed, and limited to the range of a file.
+"""A song on an instrument: every key is rendered as if it were alone, the strings' effect on each other is added.
 
-Strings are not coupled: a raised pedal keeps struck strings ringing and excites no others. A damper falls with the key
-or with the pedal, but not during a contact. A stroke that begins during a contact waits for the end of the contact.
+Dampers follow keys and pedals (`pedals`), but no damper falls during a contact. A stroke that begins during a contact
+waits for the end of the contact. Free strings resonate (`resonance`). Keys that are let go make the noise that was
+recorded of them. The sum is limited to the range of a file.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..conversions import hertz_of
 from ..errors import ParameterError, check_range
 from ..instrument import Instrument
 from ..io.audio import RATES
@@ -18,10 +20,14 @@ from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES
 from ..threads import one_blas_thread
 from .midi import Song
+from .pedals import KeyMotion, PedalRange, key_motions, releases
+from .resonance import SILENCE, Contact, Stroke, render_resonance
 from .voice import StringVoice
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
+# MIDI release velocity of a key that states none.
+RELEASE_VELOCITY = 64
 # Largest gain reduction by the limiter. Any further reduction applies to the whole song.
 MOST_LIMITED_DB = 3.0
 # Samples of free vibration that are computed at once.
@@ -40,15 +46,25 @@ class Performance(NamedTuple):
     restrikes: int  # strikes on a string that was still sounding
 
 
-class _Event(NamedTuple):
-    sample: int
-    velocity: int  # of a stroke; 0 for a movement of the damper alone
-    damped: bool
+class PlayOptions(NamedTuple):
+    """How a song is played."""
+
+    pedal_range: PedalRange = PedalRange()  # of controller 64, for half pedal
+    resonance: bool = True  # free strings are excited by others
+    noise: bool = False  # add the noise floor of the recordings
+    seed: int = 0  # of the noise floor
+
+
+AS_RECORDED = PlayOptions()
 
 
 @one_blas_thread()
 def render_song(
-    instrument: Instrument, song: Song, rate: int = 48_000, progress: Callable[[str, float], None] = lambda *_: None
+    instrument: Instrument,
+    song: Song,
+    rate: int = 48_000,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    options: PlayOptions = AS_RECORDED,
 ) -> Performance:
     """Render a song on an instrument.
 
@@ -60,6 +76,7 @@ def render_song(
     song : as `load_song` returns it.
     rate : sample rate, Hz.
     progress : called with the name of the step and the finished fraction.
+    options : half pedal, resonance and noise; see `PlayOptions`.
 
     Returns
     -------
@@ -68,7 +85,8 @@ def render_song(
     Raises
     ------
     ParameterError
-        For a rate out of range, a song that is too long, or a key that the instrument lacks.
+        For a rate or pedal range out of range, a song that is too long, a key that the instrument lacks, or a noise
+        floor that it lacks.
     FitError
         If a hammer stays on its string.
 
@@ -89,65 +107,115 @@ def render_song(
         )
     for key in song.keys:
         instrument.note(key, 64)  # reject a missing key before the computation starts
-    total, hits, last = np.zeros((instrument.channels, size)), list[bool](), 0
+    if options.noise and instrument.noise is None:
+        raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
+    keys = _played(instrument, song, options.pedal_range.check(), rate)
+    total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
     for key in sorted(song.keys):
-        string = StringVoice(instrument.note(key, 64), key, rate)
-        for at, sound, hit_moving in _phrases(string, instrument, _events(song, key, rate), size):
+        string = StringVoice(instrument.note(key, 64), key, rate, instrument.dampers)
+        for at, sound, struck in _phrases(string, instrument, keys[key], size):
             begin = at + lead - string.lead
             sound = string.through_path(sound)[:, : size - begin]
             end = begin + sound.shape[-1]
             total[:, begin:end] += sound  # a single channel is added to all
             last = max(last, end)
-            hits += hit_moving
-            progress("playing", 0.98 * len(hits) / song.notes)
+            strokes += [stroke for stroke, _ in struck]
+            hits += [was_moving for _, was_moving in struck]
+            progress("playing", (0.7 if options.resonance else 0.98) * len(hits) / song.notes)
+    if options.resonance and strokes and _meet(keys, instrument):
+        contacts = {key: [Contact(event.sample, event.contact) for event in events] for key, events in keys.items()}
+        added = render_resonance(
+            instrument, strokes, contacts, rate, size - lead, lambda share: progress("playing", 0.7 + 0.28 * share)
+        )
+        total[:, lead:] += added
+        last = max(last, lead + int(np.flatnonzero(np.abs(added).max(axis=0) > SILENCE).max(initial=-1)) + 1)
+    last = max(last, _add_releases(total, instrument, song, rate, lead))
+    if options.noise and instrument.noise is not None:
+        total[:, :last] += instrument.noise.sound(last, rate, options.seed)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(total[:, :last], rate)
     return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 
 
-def _events(song: Song, key: int, rate: int) -> list[_Event]:
-    """Strokes of a key and movements of its damper, in time order."""
+class _Event(NamedTuple):
+    """A `KeyMotion` at a sample."""
+
+    sample: int
+    velocity: int
+    contact: float
+    soft: float
+
+
+def _played(instrument: Instrument, song: Song, pedal_range: PedalRange, rate: int) -> dict[int, list[_Event]]:
+    """Strokes of every key of the instrument and movements of its damper, in time order."""
     end = song.seconds + LAST_HELD
-    moves = [(t, 0, down) for t, down in [*song.pedal, (end, 0)]]  # the pedal before the key
-    moves += [(t, 1, velocity) for t, velocity in [*song.keys[key], (end, 0)]]
-    events: list[_Event] = []
-    is_down, is_damped = [False, False], False  # pedal and key
-    for t, is_key, value in sorted(moves, key=lambda move: move[:2]):
-        is_down[is_key] = bool(value)
-        was_damped, is_damped = is_damped, not any(is_down)
-        velocity = value if is_key else 0
-        if velocity or is_damped != was_damped:
-            events.append(_Event(round(t * rate), velocity, is_damped))
-    return events
+
+    def events(motions: list[KeyMotion]) -> list[_Event]:
+        return [_Event(round(m.seconds * rate), m.velocity, m.contact, m.soft) for m in motions]
+
+    return {key: events(key_motions(song, key, pedal_range, end)) for key in sorted(instrument.keys)}
+
+
+def _meet(keys: dict[int, list[_Event]], instrument: Instrument) -> bool:
+    """Return whether the dampers of two keys are ever lifted at the same time."""
+    changes: list[tuple[int, int]] = []
+    for key, events in keys.items():
+        has_damper = instrument.dampers.rates(key, np.array([hertz_of(key)])).any()
+        lifted = [(event.sample, event.contact < 1) for event in events] if has_damper else [(0, True)]
+        before = False
+        for sample, is_lifted in lifted:
+            if is_lifted != before:
+                changes.append((sample, 1 if is_lifted else -1))
+            before = is_lifted
+    count = np.cumsum([change for _, change in sorted(changes)])
+    return bool(count.max(initial=0) > 1)
+
+
+def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: int, lead: int) -> int:
+    """Add the noises of keys that are let go; return the end of the last one, samples."""
+    if instrument.release is None:
+        return 0
+    last = 0
+    for key in song.keys:
+        for at, held in releases(song, key):
+            velocity = song.release_velocities.get((key, at), RELEASE_VELOCITY)
+            begin = round(at * rate) + lead
+            sound = instrument.release.sound(key, velocity, held, rate)[:, : total.shape[-1] - begin]
+            end = begin + sound.shape[-1]
+            total[:, begin:end] += sound[: len(total)] if len(sound) >= len(total) else sound.mean(axis=0)
+            last = max(last, end)
+    return last
 
 
 def _phrases(
     string: StringVoice, instrument: Instrument, events: list[_Event], size: int
-) -> Iterator[tuple[int, np.ndarray, list[bool]]]:
-    """Yield (first sample, sound, was the string moving at each stroke), from silence to silence, up to `size`.
+) -> Iterator[tuple[int, np.ndarray, list[tuple[Stroke, bool]]]]:
+    """Yield (first sample, sound, strokes and whether the string was moving), from silence to silence, up to `size`.
 
     A phrase is not divided further, because the convolution with the output path is most of the work and adds a tail
     to every piece.
     """
-    at, begin, sounds, hit_moving = 0, 0, [], []
-    for event in [*events, _Event(size, velocity=0, damped=False)]:
+    at, begin, sounds, struck = 0, 0, [], []
+    for event in [*events, _Event(size, velocity=0, contact=0.0, soft=0.0)]:
         end = min(event.sample, size)
         while at < end and string.is_audible:
             sounds.append(string.ring(min(CHUNK_SAMPLES, end - at)))
             at += sounds[-1].shape[-1]
         if sounds and (at < end or at >= size):
-            yield begin, np.concatenate(sounds, axis=-1), hit_moving
-            sounds, hit_moving = [], []
+            yield begin, np.concatenate(sounds, axis=-1), struck
+            sounds, struck = [], []
         at = max(at, end)
         if at >= size:
             return
-        string.damped = event.damped
+        string.contact = event.contact
         if event.velocity:
             begin = begin if sounds else at
-            hit_moving.append(string.in_motion)
-            sounds.append(string.strike(instrument.note(string.midi, event.velocity).hammer.v_H0)[:, : size - at])
+            was_moving, touch = string.in_motion, at
+            velocity = instrument.note(string.midi, event.velocity).hammer.v_H0
+            sounds.append(string.strike(velocity, event.soft)[:, : size - at])
             at += sounds[-1].shape[-1]
+            struck.append((Stroke(string.midi, touch, at, string.modes.state, string.force), was_moving))
 
 
 def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:

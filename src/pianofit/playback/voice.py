@@ -1,7 +1,7 @@
 """One string during playback: free vibration, damping, and strokes on the moving string.
 
 Between strokes every mode decays in closed form. Its state is one complex amplitude, which continues from event to
-event. A damper only adds to the decay rate, so that nothing clicks. The contact with the hammer is solved with the
+event. A damper only adds to the decay rates, so that nothing clicks. The contact with the hammer is solved with the
 current motion of the string.
 
 If the modal response of the key was measured (`model.modal_response`), it gives the sound. The string is then
@@ -16,11 +16,12 @@ import math
 import numpy as np
 
 from ..dsp.damped_sums import AMPLITUDE_FLOOR, sum_damped_modes, z_transform_at_poles
-from ..instrument.dampers import damper_rate
+from ..instrument.dampers import Dampers
 from ..model.modal_response import ForcePulse
 from ..model.note import Note
 from ..model.output_path import apply_filter
 from .repeated_strike import StringTables, strike_string, string_tables
+from .una_corda import UnaCorda, una_corda
 
 # Largest number of channels of exports and pages: stereo.
 CHANNELS = 2
@@ -47,13 +48,13 @@ class ModeBank:
         """True while any mode exceeds its inaudible amplitude."""
         return bool((np.abs(self.pattern * self.state) > self.faint).any())
 
-    def ring(self, samples: int, damper: float) -> np.ndarray:
-        """The sound [channels, samples] with the decay rate `damper`, 1/s, added. Inaudible modes are cut off."""
+    def ring(self, samples: int, damper: np.ndarray | float) -> np.ndarray:
+        """The sound [channels, samples] with decay rates, 1/s [modes], added. Inaudible modes are cut off."""
         sound = sum_damped_modes(self.pole - damper, self.pattern * self.state, self.rate, samples, self.faint)
         self.advance(samples, damper)
         return sound
 
-    def advance(self, samples: int, damper: float) -> None:
+    def advance(self, samples: int, damper: np.ndarray | float) -> None:
         """Advance the state by `samples` without computing the sound."""
         self.state = self.state * np.exp((self.pole - damper) * (samples / self.rate))
         if not self.is_audible:
@@ -63,7 +64,7 @@ class ModeBank:
 class StringVoice:
     """The string of one key at one sample rate, initially at rest. Its output must still pass `through_path`."""
 
-    def __init__(self, note: Note, midi: int, rate: int) -> None:
+    def __init__(self, note: Note, midi: int, rate: int, dampers: Dampers | None = None) -> None:
         self.note, self.midi, self.rate = note, midi, rate
         # With a measured modal response the string itself is inaudible, so the output path is not needed.
         self.table: StringTables = string_tables(
@@ -77,8 +78,10 @@ class StringVoice:
             faint = np.full(len(self.modal_response.pole), AMPLITUDE_FLOOR)
             self.modes = ModeBank(self.modal_response.pole, self.modal_response.pattern, faint, rate)
         self.lead = round(note.pre_onset_s * rate)
-        self.damped = False
-        self._damper = damper_rate(midi)
+        self.contact = 0.0  # of the damper: 0 when it is up, 1 when it rests on the strings
+        dampers = Dampers() if dampers is None else dampers
+        self._rates = [dampers.rates(midi, np.imag(bank.pole) / (2 * np.pi)) for bank in (self.string, self.modes)]
+        self.force = ForcePulse(np.zeros(1), 1 / self.table.rate, 0.0)  # of the last stroke
         self._response = np.zeros(0)
         self.reset()
 
@@ -89,19 +92,20 @@ class StringVoice:
         # Pending output from the current sample on; later samples are zero.
         self._pending = np.zeros((len(self.modes.pattern), self.lead))
 
-    def strike(self, velocity: float) -> np.ndarray:
+    def strike(self, velocity: float, soft: float = 0.0) -> np.ndarray:
         """Strike with a hammer of `velocity`, m/s; return the sound during the contact [channels, samples].
 
-        Afterwards the string is undamped.
+        Afterwards the string is undamped. `soft` is the position of the left pedal, 0 to 1.
         """
-        hammer = self.note.hammer._replace(v_H0=velocity)
+        shift = una_corda(self.midi, soft)
+        hammer = shift.hammer(self.note.hammer._replace(v_H0=velocity))
         drive, force = strike_string(self.table, hammer, self.string.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
-        self.damped = False
+        self.contact, self.force = 0.0, force
         sound = self._free(samples)  # advances all states to the end of the contact
-        self.string.state = self.string.state + self.table.unit * self._residual_drive(drive)
-        onset = self._onset(drive, force, samples)
+        self.string.state = self.string.state + shift.share * self.table.unit * self._residual_drive(drive)
+        onset = self._onset(drive, force, samples, shift)
         self._add(sound, self.lead)
         self._add(onset, 0)
         return self._next(samples)
@@ -127,22 +131,23 @@ class StringVoice:
 
     def _free(self, samples: int) -> np.ndarray:
         """Sound of the modes in free vibration [channels, samples]."""
-        damper = self._damper if self.damped else 0.0
+        string, modes = (self.contact * rates for rates in self._rates)
         if self.modal_response is not None:
-            self.string.advance(samples, damper)
-        return self.modes.ring(samples, damper)
+            self.string.advance(samples, string)
+        return self.modes.ring(samples, modes)
 
     def _residual_drive(self, drive: np.ndarray) -> np.ndarray:
         """Σ_n T_n z^(N - n), N = len(T): amplitude at the end of the pulse, for a unit response [modes]."""
         log_z = self.string.pole / self.table.rate
         return np.exp(log_z) * z_transform_at_poles(log_z, drive[::-1])
 
-    def _onset(self, drive: np.ndarray, force: ForcePulse, samples: int) -> np.ndarray:
+    def _onset(self, drive: np.ndarray, force: ForcePulse, samples: int, shift: UnaCorda) -> np.ndarray:
         """Sound of a stroke in addition to the free modes after it, from `lead` samples before the contact on."""
         if self.modal_response is None:
-            return apply_filter(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
-        state, onset = self.modal_response.strike_response(force, samples)
-        self.modes.state = self.modes.state + state
+            return shift.share * apply_filter(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
+        weight = shift.weights(self.modal_response)
+        state, onset = shift.response(self.modal_response, weight).strike_response(force, samples)
+        self.modes.state = self.modes.state + weight * state
         return onset
 
     def _add(self, sound: np.ndarray, at: int) -> None:

@@ -17,12 +17,13 @@ from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError
 from ..io.files import printable
 from ..parameters import PARAMETERS
+from .bridge import BridgeAdmittance
 from .decode import Number, convert, load_json
 from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
 INSTRUMENT_FILE = "instrument.json"
-INSTRUMENT_SCHEMA = 6
+INSTRUMENT_SCHEMA = 7
 # Largest instrument.json, bytes.
 LARGEST_INSTRUMENT = 2**25
 HINT = "give the instrument.json that pianofit instrument wrote"
@@ -188,6 +189,7 @@ class InstrumentFile:
     keys: Annotated[tuple[KeyEntry, ...], Meta(min_length=1, max_length=HIGHEST_KEY - LOWEST_KEY + 1)]
     warnings: tuple[str, ...] = ()
     even: Share = 0.0  # how far recorded keys were moved towards the laws
+    bridge: BridgeAdmittance = field(default_factory=BridgeAdmittance)
     versions: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,143 @@
+"""Modes of strings that stand on one bridge: how they exchange energy.
+
+Each mode has an amplitude a whose square is its energy. Alone on the bridge it decays at its pole, p. The bridge, of
+real admittance Y, adds
+
+    da_i/dt = p_i a_i - v_i Σ_j v_j a_j        j: modes of other strings,   v_i = ± √α_i,   α = (T/L) Y
+
+α is what a mode loses to the bridge, so its own losses determine the coupling. Two equal strings have Weinreich's
+symmetric coupling, -α. The sign is (-1)^(k+1), that of the force of partial k on the bridge. The matrix of losses, with
+-Re p on its diagonal and v_i v_j elsewhere, has no negative eigenvalue as long as Σ α/(-Re p) <= 1 over the modes of
+each partial. Then energy never rises.
+
+Modes far apart in frequency exchange little, and only the begin of a vibration excites them. So the coupling has two
+parts by the taper τ, which falls linearly from 1 for equal frequencies to 0 at `TAPER`. The part τ is solved in steps
+of time. The part 1 - τ acts once, at a stroke, in closed form (`far_response`). The taper is a positive definite
+function of the difference of frequencies. So the tapered matrix has no negative eigenvalue either (Schur's product
+theorem).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+# Difference of angular frequencies beyond which modes are coupled by strokes alone, rad/s. A quarter tone at 1 kHz lies
+# within; a step of time is short against one turn of it.
+TAPER = 2 * np.pi * 45.0
+# Most of its loss that a partial can give to the bridge: a margin, so that steps of time cannot create energy.
+MOST_BRIDGE_SHARE = 0.95
+
+
+class CoupledModes:
+    """Modes of strings on one bridge.
+
+    Parameters
+    ----------
+    pole : of each mode alone on the bridge, in ascending order of frequency, complex, 1/s [modes].
+    drive : v, √(1/s) [modes].
+    string : number of the string, or of the unison, of each mode. Its modes are not coupled with each other, because
+        their poles are those that they have together on the bridge [modes].
+    """
+
+    def __init__(self, pole: np.ndarray, drive: np.ndarray, string: np.ndarray) -> None:
+        self.pole, self.drive = pole, drive
+        omega = np.imag(pole)
+        self._omega = omega / TAPER
+        self._ends = np.array(
+            [np.searchsorted(omega, omega - TAPER), np.searchsorted(omega, omega + TAPER, side="right")]
+        )
+        self._own = _own_taper(np.imag(pole), string)
+
+    def exchange(self, amplitude: np.ndarray, lift: np.ndarray) -> np.ndarray:
+        """v_i Σ_j v_j τ_ij a_j over modes j of other strings, complex [modes].
+
+        `lift` multiplies v: 0 for a string whose damper rests on it, 1 for a free string [modes].
+
+        The taper is linear on both sides. So each sum follows from running sums over the modes in order of frequency.
+        """
+        drive = self.drive * lift
+        driven = drive * amplitude
+        sums, moments = np.zeros((2, len(driven) + 1), complex)
+        np.cumsum(driven, out=sums[1:])
+        np.cumsum(driven * self._omega, out=moments[1:])
+        (left, right), (left_moment, right_moment) = sums[self._ends], moments[self._ends]
+        total = right - left + self._omega * (left + right - 2 * sums[1:])
+        total += 2 * moments[1:] - left_moment - right_moment
+        own = self._own @ driven.view(float).reshape(-1, 2)
+        return drive * (total - own.view(complex)[:, 0])
+
+    def step(
+        self, alone: np.ndarray, added: np.ndarray, half: np.ndarray, lift: np.ndarray, seconds: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Advance by one step of time, of second order.
+
+        Parameters
+        ----------
+        alone : amplitudes that the modes would have without each other, complex [modes].
+        added : what the other modes have added to them, complex [modes].
+        half : factor of each amplitude over half of the step, complex [modes].
+        lift : as for `exchange`.
+        seconds : the step, s.
+
+        Returns
+        -------
+        Both amplitudes after the step.
+        """
+        alone, added = alone * half, added * half
+        first = self.exchange(alone + added, lift)
+        added = added - seconds * first + 0.5 * seconds**2 * self.exchange(first, lift)
+        return alone * half, added * half
+
+    def far_response(self, source: np.ndarray, strength: np.ndarray) -> np.ndarray:
+        """Amplitudes of all modes after an impulse of force that starts the modes `source`, complex [modes].
+
+        Parameters
+        ----------
+        source : indices of the struck modes; they get nothing themselves [struck].
+        strength : their amplitudes after the impulse, complex [struck].
+
+        A vibration Re(A e^{qt}) from t = 0 on has the transform A/(s - q) + A*/(s - q*), halved. At the pole of another
+        mode it gives the amplitude of that mode. The response to any force is this times the transform of the force at
+        the pole.
+        """
+        q, target = self.pole[source][:, None], self.pole[None]
+        taper = np.maximum(1 - np.abs(np.imag(q) - np.imag(target)) / TAPER, 0.0)
+        weight = (self.drive[source] * strength)[:, None] * (1 - taper)
+        mirrored = (self.drive[source] * np.conj(strength))[:, None] * (1 - taper)
+        distance = target - q
+        distance[taper == 1] = 1.0  # these have no part in it
+        total = (weight / distance + mirrored / (target - np.conj(q))).sum(axis=0)
+        total[source] = 0.0
+        return -self.drive * total
+
+
+def bridge_drive(rate: np.ndarray, decay: np.ndarray, share: np.ndarray, partial: np.ndarray) -> np.ndarray:
+    """|v| of modes, √(1/s) [modes].
+
+    Parameters
+    ----------
+    rate : rate at which the partial loses energy to the bridge right after a stroke, 1/s [modes].
+    decay : decay rate of each mode, 1/s [modes].
+    share : share of each mode in its partial; the shares of a partial sum to 1 [modes].
+    partial : number that modes of one partial of one string share, and no others [modes].
+
+    A partial cannot give more to the bridge than it loses: Σ share rate/decay is at most `MOST_BRIDGE_SHARE`.
+    """
+    _, index = np.unique(partial, return_inverse=True)
+    taken = np.bincount(index, rate * share / decay)[index]
+    return np.sqrt(share * rate * np.minimum(1.0, MOST_BRIDGE_SHARE / np.maximum(taken, 1e-300)))
+
+
+def _own_taper(omega: np.ndarray, string: np.ndarray) -> sparse.csr_array:
+    """τ between modes of the same string, and 0 elsewhere [modes, modes]."""
+    rows, columns = [], []
+    for number in np.unique(string):
+        own = np.flatnonzero(string == number)
+        near = np.abs(np.subtract.outer(omega[own], omega[own])) < TAPER
+        row, column = np.nonzero(near)
+        rows.append(own[row])
+        columns.append(own[column])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    taper = 1 - np.abs(omega[row] - omega[column]) / TAPER
+    return sparse.csr_array((taper, (row, column)), shape=(len(omega), len(omega)))

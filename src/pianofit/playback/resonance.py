@@ -1,0 +1,189 @@
+"""The sound of free strings that others excite over the bridge.
+
+Every key is first rendered as if it were alone (`song`). Here the amplitudes that its strings then have are followed
+together with what the other strings add, in steps of `HOP_SECONDS`. The sound of the added amplitudes is computed at a
+reduced rate. Between two steps each amplitude changes linearly in the frame that turns with its mode. So nothing
+clicks.
+
+A string is free as far as its damper is lifted. A struck string keeps what others added. Not modelled: the effect of
+the added motion on the contact with the hammer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..dsp.filters import resample
+from ..instrument import Instrument
+from ..model.modal_response import ForcePulse
+from .free_strings import HIGHEST, FreeStrings
+
+# Step of the amplitudes, s: bridges and dampers act within some ten milliseconds.
+HOP_SECONDS = 0.005
+# Smallest ratio of the reduced rate to the highest frequency: room for the filter of the resampling.
+RATE_RATIO = 2.2
+# Steps whose sound is computed at once.
+CHUNK_HOPS = 64
+# Largest amplitude of the sound that counts as silence, file units: -160 dB.
+SILENCE = 1e-8
+
+
+class Stroke(NamedTuple):
+    """A stroke as the key alone plays it."""
+
+    midi: int
+    touch: int  # sample of the first touch
+    end: int  # sample at which the modes ring freely
+    state: np.ndarray  # of the voice's modes at `end`, complex [modes]
+    force: ForcePulse
+
+
+class Contact(NamedTuple):
+    """Contact of the damper of a key from a sample on, 0 to 1."""
+
+    sample: int
+    contact: float
+
+
+def render_resonance(
+    instrument: Instrument,
+    strokes: Sequence[Stroke],
+    contacts: Mapping[int, Sequence[Contact]],
+    rate: int,
+    samples: int,
+    progress: Callable[[float], None] = lambda _: None,
+) -> np.ndarray:
+    """Render what the strings add to each other [channels, samples], from the first touch at sample 0 on.
+
+    Parameters
+    ----------
+    instrument : all its keys take part.
+    strokes : of all keys.
+    contacts : movements of the damper by MIDI key; before the first a damper rests on its string. Keys without a damper
+        are always free.
+    rate : sample rate, Hz.
+    samples : length.
+    progress : called with the finished fraction.
+    """
+    free = FreeStrings(instrument, rate)
+    ratio = max(int(rate / (RATE_RATIO * HIGHEST)), 1)
+    reduced = max(round(HOP_SECONDS * rate / ratio), 1)  # samples of a hop at the reduced rate
+    hop = reduced * ratio
+    hops = -(-samples // hop) + 1
+    player = _Player(free, strokes, contacts, hop, rate)
+    window = _hop_window(free.pole, reduced, rate / ratio)
+    out = np.zeros((len(free.sound), (hops + 1) * reduced))
+    for first in range(0, hops, CHUNK_HOPS):
+        count = min(CHUNK_HOPS, hops - first)
+        amplitude = player.advance(first, count)
+        progress((first + count) / hops)
+        if amplitude is None:
+            continue
+        heard = np.flatnonzero((np.abs(amplitude).max(axis=0) * np.abs(free.sound).max(axis=0)) > SILENCE)
+        rows = window[heard].reshape(2 * len(heard), -1)
+        for channel, sound in enumerate(free.sound[:, heard]):
+            pieces = np.ascontiguousarray(amplitude[:, heard] * sound).view(float) @ rows
+            _overlap_add(out[channel, first * reduced :], pieces, reduced)
+    whole = resample(out[:, reduced:], 1, ratio) if ratio > 1 else out[:, reduced:]
+    return whole[:, :samples]
+
+
+class _Player:
+    """Amplitudes of all modes from hop to hop."""
+
+    def __init__(
+        self,
+        free: FreeStrings,
+        strokes: Sequence[Stroke],
+        contacts: Mapping[int, Sequence[Contact]],
+        hop: int,
+        rate: int,
+    ) -> None:
+        self.free, self.hop, self.rate = free, hop, rate
+        self.strokes = sorted(strokes, key=lambda stroke: stroke.end)
+        self.at = 0  # next stroke
+        self.alone = np.zeros(len(free.pole), complex)
+        self.added = np.zeros(len(free.pole), complex)
+        self.contacts = [
+            _Contacts(contacts.get(midi, ()), bool(free.damping[free.modes[midi]].any())) for midi in free.keys
+        ]
+        self.contact = np.full(len(free.keys), -1.0)
+        self.lift = self.half = np.zeros(0)
+        self.free_half = np.exp(0.5 * hop / rate * free.pole)
+
+    def advance(self, first: int, count: int) -> np.ndarray | None:
+        """Added amplitudes at `count` hops from `first` on, complex [hops, modes]; None if all are silent."""
+        edges = np.arange(first, first + count + 1) * self.hop
+        contact = np.stack([np.diff(own.integral(edges)) / self.hop for own in self.contacts], axis=1)
+        found, is_silent = np.zeros((count, len(self.added)), complex), True
+        for i in range(count):
+            if np.abs(self.added * self.free.sound).max(initial=0.0) > SILENCE:
+                found[i], is_silent = self.added, False
+            else:
+                self.added[:] = 0.0
+            self._step(contact[i])
+            while self.at < len(self.strokes) and self.strokes[self.at].end <= edges[i + 1]:
+                self._strike(self.strokes[self.at], int(edges[i + 1]), contact[i])
+                self.at += 1
+        return None if is_silent else found
+
+    def _step(self, contact: np.ndarray) -> None:
+        """Advance all amplitudes by one hop."""
+        free, seconds = self.free, self.hop / self.rate
+        if not np.array_equal(contact, self.contact):
+            self.contact, of_mode = contact, contact[free.key_index]
+            self.half = self.free_half * np.exp(-0.5 * seconds * of_mode * free.damping)
+            self.lift = 1 - of_mode
+        if np.count_nonzero(contact < 1) > 1:
+            self.alone, self.added = free.coupled.step(self.alone, self.added, self.half, self.lift, seconds)
+        else:  # no two strings are free
+            self.alone, self.added = self.alone * self.half**2, self.added * self.half**2
+
+    def _strike(self, stroke: Stroke, now: int, contact: np.ndarray) -> None:
+        """Take over the state of a struck key, and excite all other free strings."""
+        free, own = self.free, self.free.modes[stroke.midi]
+        damped = free.pole - contact[free.key_index] * free.damping
+        before = self.alone[own].copy()
+        since = (now - stroke.end) / self.rate
+        self.alone[own] = free.amplitudes(stroke.midi, stroke.state) * np.exp(damped[own] * since)
+        if not np.count_nonzero(contact < 1) > 1:
+            return
+        since = (now - stroke.touch) / self.rate
+        self.added += self.lift * free.excited_by(stroke.midi, stroke.force) * np.exp(damped * since)
+        # The exchange during the rest of this hop, to first order.
+        struck = np.zeros(len(self.alone), complex)
+        struck[own] = self.alone[own] - before
+        self.added -= since * free.coupled.exchange(struck, self.lift)
+
+
+class _Contacts:
+    """The contact of one damper over time."""
+
+    def __init__(self, contacts: Sequence[Contact], has_damper: bool) -> None:
+        at = [Contact(-1, 1.0 if has_damper else 0.0), *(contacts if has_damper else ())]
+        self.sample = np.array([x.sample for x in at], float)
+        self.contact = np.array([x.contact for x in at])
+        steps = np.diff(self.sample) * self.contact[:-1]
+        self.sum = np.concatenate([[0.0], np.cumsum(steps)])
+
+    def integral(self, sample: np.ndarray) -> np.ndarray:
+        """Integral of the contact from before the first sample to these samples."""
+        i = np.searchsorted(self.sample, sample, side="right") - 1
+        return self.sum[i] + (sample - self.sample[i]) * self.contact[i]
+
+
+def _hop_window(pole: np.ndarray, reduced: int, rate: float) -> np.ndarray:
+    """Sound of a unit real and imaginary amplitude about its hop [modes, 2, 2 reduced], from one hop before it on."""
+    time = np.arange(-reduced, reduced) / rate
+    turn = np.exp(np.outer(pole, time)) * (1 - np.abs(time) * rate / reduced)
+    return np.stack([turn.real, -turn.imag], axis=1)
+
+
+def _overlap_add(out: np.ndarray, pieces: np.ndarray, reduced: int) -> None:
+    """Add pieces of two hops each [hops, 2 reduced], which begin one hop apart."""
+    size = len(pieces) * reduced
+    out[:size] += pieces[:, :reduced].ravel()
+    out[reduced : reduced + size] += pieces[:, reduced:].ravel()
