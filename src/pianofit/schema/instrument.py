@@ -17,12 +17,14 @@ from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError
 from ..io.files import printable
 from ..parameters import PARAMETERS
+from .dampers import Dampers
 from .decode import Number, convert, load_json
+from .extras import KeyNumber, NoiseEntry, SoundEntry
 from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
 INSTRUMENT_FILE = "instrument.json"
-INSTRUMENT_SCHEMA = 6
+INSTRUMENT_SCHEMA = 7
 # Largest instrument.json, bytes.
 LARGEST_INSTRUMENT = 2**25
 HINT = "give the instrument.json that pianofit instrument wrote"
@@ -33,7 +35,6 @@ Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # Longest recording in a file, s.
 ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
-KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
 # The state of a key. The values of a changed key were set by hand on the page to play.
 KeyState = Literal["recorded", "interpolated", "extrapolated", "changed"]
 
@@ -174,6 +175,14 @@ class KeyEntry:
     fit: FitSummary | None = None  # of a recorded key
 
 
+@dataclass(frozen=True)
+class ReleaseEntry:
+    """The noise of a key that is let go."""
+
+    midi: KeyNumber
+    sound: SoundEntry
+
+
 @dataclass(frozen=True, kw_only=True)
 class InstrumentFile:
     """A whole instrument."""
@@ -188,6 +197,9 @@ class InstrumentFile:
     keys: Annotated[tuple[KeyEntry, ...], Meta(min_length=1, max_length=HIGHEST_KEY - LOWEST_KEY + 1)]
     warnings: tuple[str, ...] = ()
     even: Share = 0.0  # how far recorded keys were moved towards the laws
+    dampers: Dampers = field(default_factory=Dampers)
+    releases: tuple[ReleaseEntry, ...] = ()  # of recorded keys
+    noise: NoiseEntry | None = None
     versions: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
