@@ -4,8 +4,9 @@
 
 A case (`tests/damper_cases.py`) draws a key from E1 to C6 with the string of the literature, two components of each
 partial that beat, a damper of known rate (20 to 67 1/s at partial 1) and slope (-0.1 to 0.4), a release 0.4 to 2 s
-after the onset, and noise 70 dB below the peak. The table shows the percentage of 95 % intervals that hold the truth, the rms
-error in standard deviations and the largest one, for the rate and the slope of the key and the rates of its partials.
+after the onset, and noise 70 dB below the peak. The table shows the percentage of 95 % intervals that hold the truth,
+the rms error in standard deviations and the largest one, for the rate and the slope of the key and the rates of its
+partials.
 """
 
 from __future__ import annotations
