@@ -108,7 +108,8 @@ def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
     Parameters
     ----------
     paths : as for `find_fits`; next to a single fit.json its own `extras.json` is read.
-    instrument : name of the instrument, as `instrument_name` returns it. Other instruments are left out.
+    instrument : name of the instrument in the names of the folders, empty if they have none. Other instruments are left
+        out.
 
     Returns
     -------
@@ -122,8 +123,8 @@ def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from pianofit.instrument import load_extras
-    >>> load_extras([Path("batch")], "cp80")
+    >>> import pianofit
+    >>> pianofit.load_extras([Path("batch")], "cp80")
     []
     """
     files: list[Path] = []
