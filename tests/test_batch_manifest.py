@@ -272,3 +272,50 @@ def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
     assert job("one", content=b"y").hash != first.hash
     assert job("one", Settings(seed=1)).hash != first.hash
     assert replace(first, versions={"pianofit": "0"}).hash != first.hash
+
+
+def test_roles_are_read_from_a_column_and_only_strokes_enter_the_fit(tmp_path):
+    touch(tmp_path, "a.wav", "b.wav", "c.wav", "d.wav")
+    text = (
+        "file,note,layer,v_H0,role\na.wav,C4,p,1.0,\nb.wav,C4,p,1.0,Damped\n"
+        "c.wav,C4,,,release: string silent\nd.wav,C4,f,2.0,note\n"
+    )
+    (key,), _ = read_keys(manifest(tmp_path, text))
+    assert [s.role for s in key.samples] == ["note", "damped", "release", "note"]
+    assert not any(s.stroke for s in key.samples)
+    job = make_job(key, Settings())
+    assert job.setup.count("[[recording]]") == 2
+    as_note = replace(key, samples=tuple(replace(s, role="note") for s in key.samples))
+    assert make_job(as_note, Settings()).hash != job.hash
+
+
+@pytest.mark.parametrize(("text", "nearest"), [("relase", "release"), ("damp", "damped"), ("notes", "note")])
+def test_an_unknown_role_names_the_nearest_one(tmp_path, text, nearest):
+    touch(tmp_path, "a.wav")
+    with pytest.raises(SetupError, match=rf"line 2: role '{text}' .* nearest is {nearest}"):
+        read_keys(manifest(tmp_path, f"file,note,role\na.wav,C4,{text}\n"))
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("grand-C4-soft.wav", "note"),
+        ("grand-C4-release.wav", "release"),
+        ("grand-C4-rel.wav", "release"),
+        ("grand-C4-noteoff.wav", "release"),
+        ("grand-C4-KeyRelease.wav", "release"),
+        ("grand-C4-damped.wav", "damped"),
+        ("grand-C4-undamped.wav", "note"),
+        ("grand-C4-relaxed.wav", "note"),
+    ],
+)
+def test_words_in_file_names_tell_the_role(tmp_path, name, role):
+    touch(tmp_path, "grand-C4-loud.wav", "grand-D4-soft.wav", name)
+    keys, _ = read_keys(tmp_path)
+    assert {s.file.name: s.role for key in keys for s in key.samples}[name] == role
+
+
+def test_a_pattern_may_name_the_role(tmp_path):
+    touch(tmp_path, "damped/C4.wav", "note/C4.wav")
+    (key,), _ = read_keys(tmp_path, pattern="{role}/{note}")
+    assert [s.role for s in key.samples] == ["damped", "note"]

@@ -37,7 +37,8 @@ __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "lo
 # Parts of the model for JAX programs: modes, excitation, output.
 __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
 # Instruments of 88 keys from fits, songs, and exports.
-__all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument"]
+__all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "load_extras"]
+__all__ += ["build_instrument", "load_instrument"]
 __all__ += ["write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary"]
 __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
 # Libraries, and blind listening tests.
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
         VelocityCurve,
         build_instrument,
         find_fits,
+        load_extras,
         load_instrument,
         load_keys,
         write_instrument,
@@ -103,6 +105,7 @@ _MODULES = {
         "VelocityCurve",
         "build_instrument",
         "find_fits",
+        "load_extras",
         "load_instrument",
         "load_keys",
         "write_instrument",

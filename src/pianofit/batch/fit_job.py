@@ -23,7 +23,11 @@ from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io.files import DISK_FULL, printable, read_file, replace_paths, write_error
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, load_recording
+from ..schema.decode import encode_json
+from ..schema.extras import EXTRAS_FILE
+from .extras import measure_extras
 from .job import Job, UnusedFile, versions
+from .manifest import Role
 
 # cents: a note name further than this from the pitch is wrong. Old pianos and stretched trebles stay below.
 PITCH_TOLERANCE = 60.0
@@ -106,14 +110,16 @@ def _other_versions(job: Job) -> str:
 
 def _fit_in(place: Path, job: Job, contents: Sequence[bytes] | None, report_stage: ReportStage) -> JobResult:
     """Fit in the folder `place`. Recordings that cannot be used are left out if others can be used."""
-    files = _stage_inputs(place, job, contents)
+    staged = _stage_inputs(place, job, contents)
+    roles: dict[Path, Role] = {file: source.role for file, source in zip(staged, job.sources, strict=True)}
+    files = [file for file, role in roles.items() if role == "note"]
     # Messages, tables and pages contain names of files, and no folders of this machine.
-    paths = {str(file): source.path for file, source in zip(files, job.sources, strict=True)}
+    paths = {str(file): source.path for file, source in zip(roles, job.sources, strict=True)}
     names = {scratch: printable(Path(path).name) for scratch, path in paths.items()}
     unusable: dict[Path, str] = {}
     try:
         try:
-            outputs = _fit(job, files, paths, place, report_stage)
+            outputs = _fit(job, files, paths, place, report_stage) if files else {}
         except OutputError:
             raise
         except PianofitError:
@@ -131,8 +137,14 @@ def _fit_in(place: Path, job: Job, contents: Sequence[bytes] | None, report_stag
             reason = f"none of its {len(unusable)} recordings can be used: {reason}"
         detected_note = _detected_note(job, files or [*unusable])
         return JobResult({}, replace_paths(reason, names), detected_note=detected_note)
+    report_stage("dampers and noise")
+    used: dict[Path, Role] = {file: role for file, role in roles.items() if file not in unusable}
+    extras, others = measure_extras(used, paths, job.note, job.settings.channel)
+    if not outputs and len(others) == len(roles):
+        return JobResult({}, replace_paths(next(iter(others.values())), names))
+    unusable |= others
     left_out = (UnusedFile(paths[str(file)], replace_paths(reason, names)) for file, reason in unusable.items())
-    return JobResult(outputs, left_out=tuple(left_out))
+    return JobResult(outputs | {EXTRAS_FILE: encode_json(extras)}, left_out=tuple(left_out))
 
 
 def _stage_inputs(place: Path, job: Job, contents: Sequence[bytes] | None) -> list[Path]:

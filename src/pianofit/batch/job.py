@@ -24,7 +24,7 @@ from ..io.files import printable, read_file
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, is_sound, layout_of, readable_formats
 from .library_files import files_in, first_of
-from .manifest import Key, Sample
+from .manifest import Key, Role, Sample
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,15 @@ class Source:
     channels: int = 0
     rate: int = 0  # Hz
     error: str = ""  # why it cannot be read
+    role: Role = "note"
 
     def row(self, folder: Path) -> list[str]:
         """Its path relative to a folder, what is given about it, and its layout, as text."""
         file, base = Path(self.path), folder.resolve()
         place = file.relative_to(base).as_posix() if file.is_relative_to(base) else file.name
         velocity = f"{self.velocity:g} m/s" if self.velocity is not None else ""
-        given = {"layer": self.layer, "velocity": velocity, "group": self.group}
+        role = "" if self.role == "note" else self.role
+        given = {"role": role, "layer": self.layer, "velocity": velocity, "group": self.group}
         about = ", ".join(f"{name} {printable(value)}" for name, value in given.items() if value) or "no layer"
         return [printable(place), about, self.error or f"{counted(self.channels, 'channel')}, {self.rate} Hz"]
 
@@ -75,7 +77,7 @@ class Job:
     @property
     def parts(self) -> dict[str, str]:
         """Hashes of the inputs, the settings and the versions."""
-        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.stroke) for s in self.sources]]
+        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.stroke, s.role) for s in self.sources]]
         return {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
 
     @property
@@ -87,7 +89,7 @@ class Job:
     def setup(self) -> str:
         """Text of its `setup.toml`; empty if no values are given."""
         text = self.settings.setup
-        for s in self.sources:
+        for s in (source for source in self.sources if source.role == "note"):
             given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke}
             if given := {name: value for name, value in given.items() if value not in (None, "")}:
                 # The text of a JSON value is a TOML value, except for escaped surrogates.
@@ -132,7 +134,7 @@ def make_job(key: Key, settings: Settings) -> Job:
                 same = f"{printable(sample.file)} and {printable(other.path)}"
                 raise RecordingError(f"{same} are the same recording; list it once")
         given = sample.velocity, sample.group, sample.stroke, sample.layer
-        sources.append(Source(str(sample.file), name, digest, *given, *_layout(data)))
+        sources.append(Source(str(sample.file), name, digest, *given, *_layout(data), sample.role))
     return Job(key.name, key.note, tuple(sources), settings, versions())
 
 
@@ -177,7 +179,7 @@ def _files_by_layout(job: Job, quantity: str) -> dict[int, list[str]]:
     """Names of the readable recordings by their channels or rate. Channels are ignored if the settings choose one."""
     files: dict[int, list[str]] = {}
     if quantity == "rate" or job.settings.channel == "average":
-        for source in (source for source in job.sources if not source.error):
+        for source in (s for s in job.sources if s.role == "note" and not s.error):
             files.setdefault(getattr(source, quantity), []).append(printable(Path(source.path).name))
     return files
 

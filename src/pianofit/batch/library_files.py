@@ -36,6 +36,7 @@ class Row(NamedTuple):
     velocity: str = ""  # MIDI velocity, or any other name of a layer
     v_H0: str = ""  # measured hammer velocity, m/s
     group: str = ""
+    role: str = ""
 
 
 def first_of(texts: Sequence[str], separator: str = ", ") -> str:

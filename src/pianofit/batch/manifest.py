@@ -8,6 +8,7 @@ manifest from an untrusted source therefore cannot make the program read other f
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import re
 import shlex
@@ -15,6 +16,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, cast, get_args
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch
@@ -25,10 +27,12 @@ from ..io.number_format import counted
 from ..parameters import PARAMETERS
 from ..recording.recording import is_sound, readable_formats
 from .library_files import MAX_RECORDINGS, Row, files_in, find_file, first_of
-from .name_pattern import expression_of, guess_pattern, midi_number_offset
+from .name_pattern import expression_of, guess_pattern, midi_number_offset, role_in
 from .sfz import sfz_rows
 
-COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic")
+COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic", "role")
+# A stroke; a stroke whose damper falls within the file; a key that is let go while its string is silent.
+Role = Literal["note", "damped", "release"]
 # Headers of a MIDI velocity, and of a measured one with its unit, such as "velocity (m/s)" or "velocity_m_s".
 _MIDI_VELOCITY = re.compile(r"(?:midi\W*_?)?velocity(?:\W*_?midi\W*)?")
 _MEASURED_VELOCITY = re.compile(r"v_h0\b.*|velocity\W*_?m(?:/|_| )?s(?:\W*|\^?-1\W*)")
@@ -50,6 +54,7 @@ class Sample:
     velocity: float | None  # m/s, measured
     group: str  # path group, such as a microphone
     stroke: str = ""  # equal for recordings of one stroke by several microphones
+    role: Role = "note"
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ def _check_columns(name: str, columns: list[str]) -> None:
         if column not in columns:
             raise SetupError(
                 f"{name}: the header has no column {column!r} (it has {printable(', '.join(columns))[:80]!r}); "
-                "give file and note, and optionally instrument, take or layer, velocity, v_H0, group or mic"
+                "give file and note, and optionally instrument, take or layer, velocity, v_H0, group or mic, role"
             )
     for column in columns:
         if column in COLUMNS and columns.count(column) > 1:
@@ -144,7 +149,7 @@ def _row(where: str, cells: dict[str, str]) -> Row:
         return " ".join(text for name in names if (text := cells.get(name, "").strip()))
 
     layer, group, velocities = cell("layer", "take"), cell("group", "mic"), (cell("velocity"), cell("v_H0"))
-    return Row(where, cell("file"), cell("note"), cell("instrument"), layer, *velocities, group)
+    return Row(where, cell("file"), cell("note"), cell("instrument"), layer, *velocities, group, cell("role"))
 
 
 def _folder_rows(folder: Path, pattern: str | None) -> tuple[list[Row], list[str]]:
@@ -161,7 +166,8 @@ def _folder_rows(folder: Path, pattern: str | None) -> tuple[list[Row], list[str
         if match is None:
             others.append(path)
         else:
-            rows.append(_row(printable(path), {k: v or "" for k, v in match.groupdict().items()} | {"file": path}))
+            cells = {"role": role_in(path)} | {k: v or "" for k, v in match.groupdict().items()} | {"file": path}
+            rows.append(_row(printable(path), cells))
     if not rows:
         count = f"{counted(len(others), 'recording')}, such as {printable(others[0])!r}"
         raise SetupError(f"{printable(folder)}: none of {count}, fits the pattern {pattern!r}; {GIVE_PATTERN}")
@@ -239,7 +245,16 @@ def _sample(row: Row, base: Path, root: Path) -> Sample:
     if not row.file:
         raise SetupError("the file is empty; name a recording")
     file, layer = find_file(row.file, base, root), f"{row.layer} {velocity}".strip()
-    return Sample(file, layer, _velocity(row.v_H0), row.group)
+    return Sample(file, layer, _velocity(row.v_H0), row.group, role=_role(row.role))
+
+
+def _role(text: str) -> Role:
+    """The role in a cell; text after a colon is a remark."""
+    name, roles = text.partition(":")[0].strip().lower() or "note", get_args(Role)
+    if name in roles:
+        return cast(Role, name)
+    nearest = difflib.get_close_matches(name, roles, 1, 0.0)[0]
+    raise SetupError(f"role {printable(text)!r} must be {', '.join(roles)}; the nearest is {nearest}")
 
 
 def _midi(note: str, transpose: int) -> int:
@@ -255,7 +270,7 @@ def _midi(note: str, transpose: int) -> int:
 
 def _check_layer(folder: str, sample: Sample, samples: Sequence[Sample]) -> None:
     """Raise `SetupError` if another sample of the layer has the same group, or another velocity."""
-    others = [other for other in samples if sample.layer and other.layer == sample.layer]
+    others = [other for other in samples if sample.layer and (other.layer, other.role) == (sample.layer, sample.role)]
     if any(other.group == sample.group for other in others):
         name = printable(f"{sample.layer} {sample.group}").strip()
         raise SetupError(f"{folder} has a second {name!r}; give them different layers, takes, groups or mics")
@@ -269,8 +284,8 @@ def _check_layer(folder: str, sample: Sample, samples: Sequence[Sample]) -> None
 
 def _with_strokes(samples: list[Sample]) -> tuple[Sample, ...]:
     """Samples of a key in the order of their paths. Samples of one layer, by different groups, are one stroke."""
-    count = Counter(s.layer for s in samples)
-    with_strokes = [replace(s, stroke=s.layer if s.layer and count[s.layer] > 1 else "") for s in samples]
+    count = Counter((s.layer, s.role) for s in samples)
+    with_strokes = [replace(s, stroke=s.layer if s.layer and count[s.layer, s.role] > 1 else "") for s in samples]
     return tuple(sorted(with_strokes, key=lambda s: s.file.as_posix()))
 
 

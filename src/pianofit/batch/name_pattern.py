@@ -20,8 +20,13 @@ from ..errors import AnalysisError, SetupError
 FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     **dict.fromkeys(("velocity", "v_H0"), r"\d+(?:\.\d+)?"),
-    **dict.fromkeys(("instrument", "take", "layer", "group", "mic"), r"[^/]+?"),
+    **dict.fromkeys(("instrument", "take", "layer", "group", "mic", "role"), r"[^/]+?"),
     "*": r"[^/]*?",
+}
+# Words in a file name that tell the role of the recording.
+ROLE_WORDS = {
+    "release": re.compile(r"(?i)(?<![a-z])(?:(?:key|note)?[-_. ]?releases?|rel|(?:key|note)[-_. ]?off)(?![a-z])"),
+    "damped": re.compile(r"(?i)(?<![a-z])damped(?![a-z])"),
 }
 SEPARATOR = re.compile(r"((?:[^\w#♯♭]|_)+)")
 _NAME = r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?\d(?!\d)"
@@ -72,6 +77,11 @@ def expression_of(pattern: str) -> re.Pattern[str]:
     if "note" not in fields or depth:
         raise SetupError(f"--pattern {pattern!r}: must have {{note}}, and a ] for every [")
     return re.compile("".join(parts), re.IGNORECASE)
+
+
+def role_in(name: str) -> str:
+    """The role that a word in a file name tells; empty for a note."""
+    return next((role for role, words in ROLE_WORDS.items() if words.search(name)), "")
 
 
 class Part(NamedTuple):

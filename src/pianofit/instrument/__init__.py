@@ -4,12 +4,14 @@
 the fits (`fit_prior`). `keyboard_posterior` combines them to the posterior of all 88 keys. `quantity_law` integrates
 over the shapes of each law. `fields` and `guessed_keys` give keys that were never recorded their modes, and
 `guessed_knocks` their knocks. `evened_keys` moves recorded keys towards the laws. `build` makes the `Instrument`, and
+`dampers`,
+`release_noise` and `noise_floor` are what it has besides strings and hammers.
 `files` reads and writes it. `page` shows every quantity over the keyboard.
 """
 
 from ..schema.instrument import VelocityCurve
 from .build import build_instrument
-from .collect_fits import find_fits, instrument_name, load_keys
+from .collect_fits import find_fits, instrument_name, load_extras, load_keys
 from .files import load_instrument, write_instrument
 from .instrument import Instrument, Key
 
@@ -20,6 +22,7 @@ __all__ = [
     "build_instrument",
     "find_fits",
     "instrument_name",
+    "load_extras",
     "load_instrument",
     "load_keys",
     "write_instrument",

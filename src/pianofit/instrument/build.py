@@ -20,9 +20,11 @@ from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
 from ..errors import ParameterError, check_range
 from ..io.number_format import counted
 from ..model.note import Note
+from ..schema.extras import KeyExtras
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
 from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
+from .dampers import damper_law
 from .evened_keys import even_out
 from .guessed_keys import guess_response, recorded_keys, string_law
 from .instrument import Instrument, Key
@@ -34,6 +36,8 @@ from .key_quantities import (
 )
 from .keyboard_posterior import KeyboardPosterior, keyboard_posterior
 from .measured_fields import KeyFields, PathField, measure_fields, measure_path
+from .noise_floor import noise_floor
+from .release_noise import recorded_releases, release_noise
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
 NAMES = tuple(LAW_QUANTITIES)
@@ -49,7 +53,9 @@ VELOCITY_PRIOR_SD = (0.7, 0.5)
 LAYER_SD, LEAST_RISE = 0.4, 0.3
 
 
-def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) -> Instrument:
+def build_instrument(
+    keys: Sequence[KeyFit], name: str = "", even: float = 0.0, extras: Sequence[KeyExtras] = ()
+) -> Instrument:
     """Combine the fits of single keys to an instrument of 88 keys.
 
     Parameters
@@ -57,6 +63,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) 
     keys : fits in ascending order of keys, as `load_keys` returns them.
     name : name of the instrument.
     even : how far recorded keys move towards the laws in level, decay and brightness, from 0 (as fitted) to 1.
+    extras : dampers, release noise and noise floors, as `load_extras` returns them.
 
     Returns
     -------
@@ -98,15 +105,18 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "", even: float = 0.0) 
         for midi in KEYS
         if midi not in recorded
     }
-    return Instrument(
+    built = Instrument(
         name,
         dict(sorted((recorded | guessed).items())),
         fit_velocity_curve([key.summary.velocities for key in keys]),
         laws,
         tuple(_warnings(keys, posterior)),
         float(even),
+        damper_law(extras),
         bridge=measure_bridge((key.midi, key.note) for key in keys),
     )
+    release = release_noise(recorded_releases(extras), built.channels)
+    return replace(built, release=release, noise=noise_floor(extras, built.channels))
 
 
 def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:

@@ -25,6 +25,7 @@ from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import Hammer
+from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
@@ -99,6 +100,39 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
         named = ", ".join(map(printable, several))
         raise FitError(f"{printable(paths[0])}: holds several instruments, {named}; choose one by --prefix")
     return found
+
+
+def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
+    """Read what a batch measured of dampers, release noise and noise floors.
+
+    Parameters
+    ----------
+    paths : as for `find_fits`; next to a single fit.json its own `extras.json` is read.
+    instrument : name of the instrument in the names of the folders, empty if they have none. Other instruments are left
+        out.
+
+    Returns
+    -------
+    The records of the keys, which may have no fit. Empty if there are none.
+
+    Raises
+    ------
+    FitError
+        For a file of another kind or schema.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import pianofit
+    >>> pianofit.load_extras([Path("batch")], "cp80")
+    []
+    """
+    files: list[Path] = []
+    for path in paths:
+        patterns = (f"keys/*/{EXTRAS_FILE}", f"*/{EXTRAS_FILE}", EXTRAS_FILE)
+        folder = path.parent if path.is_file() else path
+        files += next((found for p in patterns[2 * path.is_file() :] if (found := sorted(folder.glob(p)))), [])
+    return [read_extras(file) for file in files if instrument_name(file) == instrument]
 
 
 def instrument_name(file: Path) -> str:

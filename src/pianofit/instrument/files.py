@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError, check_range
 from ..felt import SoftHammer, check_hammer, make_hammer
@@ -15,6 +17,7 @@ from ..parameters import HAMMER_NAMES, Geometry, String, check
 from ..schema.decode import encode_json
 from ..schema.fit import PathEntry, package_versions
 from ..schema.instrument import (
+    HINT,
     INSTRUMENT_FILE,
     GeometryEntry,
     HammerEntry,
@@ -25,9 +28,11 @@ from ..schema.instrument import (
 )
 from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
-from .collect_fits import find_fits, instrument_name, load_keys
+from .collect_fits import find_fits, instrument_name, load_extras, load_keys
 from .guessed_keys import with_guessed_responses
 from .instrument import Instrument, Key
+from .noise_floor import NoiseFloor, noise_entry
+from .release_noise import ReleaseNoise, release_entries
 
 
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, even: float = 0.0) -> Instrument:
@@ -63,7 +68,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     if path.is_dir() and not file.is_file():
         files = find_fits([path], prefix)
         name = prefix or instrument_name(files[0]) or path.resolve().name
-        return build_instrument(load_keys(files), printable(name), even)
+        return build_instrument(load_keys(files), printable(name), even, load_extras([path], instrument_name(files[0])))
     if prefix is not None:
         raise ParameterError(
             f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
@@ -82,8 +87,22 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
         record.laws,
         record.warnings,
         record.even,
-        bridge=record.bridge,
+        record.dampers,
+        _release(record, name),
+        None if record.noise is None else NoiseFloor(record.noise.frequency, np.array(record.noise.density)),
+        record.bridge,
     )
+
+
+def _release(record: InstrumentFile, name: str) -> ReleaseNoise | None:
+    """Return the release noise of an instrument."""
+    sounds, rates = {}, set()
+    for i, entry in enumerate(record.releases):
+        sounds[entry.midi], rate = entry.sound.samples(f"{name}: releases[{i}].sound")
+        rates.add((rate, len(sounds[entry.midi])))
+    if len(rates) > 1:
+        raise FitError(f"{name}: releases must have one rate and one number of channels; {HINT}")
+    return ReleaseNoise(sounds, rates.pop()[0]) if rates else None
 
 
 def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
@@ -121,6 +140,9 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         warnings=instrument.warnings,
         even=instrument.even,
         bridge=instrument.bridge,
+        dampers=instrument.dampers,
+        releases=release_entries(instrument.release),
+        noise=noise_entry(instrument.noise),
         versions=package_versions(),
     )
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ..analysis.note_names import midi_to_note
+from ..conversions import DB, LOWEST_KEY, hertz_of
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.bridge import BridgeAdmittance
-from ..schema.dampers import Dampers
+from ..schema.dampers import LAST_DAMPER, Dampers
 from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
 from .noise_floor import NoiseFloor
 from .release_noise import ReleaseNoise
@@ -169,6 +172,16 @@ class Instrument:
         states = [key.state for key in self.keys.values()]
         return {state: count for state in KEY_STATES if (count := states.count(state))}
 
+    @property
+    def beyond_strings(self) -> str:
+        """Text on dampers, release noise and noise floor."""
+        measured = f"{self.dampers.source}, {counted(len(self.dampers.keys), 'key')}" * bool(self.dampers.keys)
+        low, high = (self.dampers.rates(midi, np.array([hertz_of(midi)]))[0] * DB for midi in (LOWEST_KEY, LAST_DAMPER))
+        dampers = f"dampers: {low:.0f} to {high:.0f} dB/s at the fundamental, from: {measured or self.dampers.source}"
+        release = counted(len(self.release.sounds), "key") if self.release else "none"
+        noise = f"{self.noise.level_db:.0f} dB re full scale" if self.noise else "none"
+        return f"{dampers}; release noise: {release} recorded; noise floor: {noise}"
+
     def summary(self) -> str:
         """Return a summary in a few lines: states and evenness of keys, keyboard laws, MIDI velocity, warnings."""
         lines = [
@@ -183,4 +196,5 @@ class Instrument:
             scatter = f"{law.scatter:.2g} {law.unit}" if law.scale == "linear" else f"{100 * law.scatter:.2g} %"
             lines.append(f"{label:26}{scatter:>14}{law.length_keys:>7.0f} keys")
         lines += ["", f"MIDI velocity 64 is {self.velocity.at_64:.3g} m/s, from: {self.velocity.source}"]
+        lines.append(self.beyond_strings)
         return "\n".join([*lines, *self.warnings])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from ..schema.extras import KeyExtras, NoiseEntry
 
 # Samples of one block of noise. Blocks overlap by half.
 BLOCK = 2**14
@@ -23,6 +26,12 @@ class NoiseFloor:
     frequency: np.ndarray
     density: np.ndarray
 
+    @property
+    def level_db(self) -> float:
+        """Level of one channel, rms, dB re full scale."""
+        power = np.trapezoid(self.density.mean(axis=0), self.frequency)
+        return 10 * float(np.log10(max(power, 1e-30)))
+
     def sound(self, samples: int, rate: int, seed: int) -> np.ndarray:
         """Return noise in file units [channels, samples]. The same seed gives the same noise.
 
@@ -39,3 +48,26 @@ class NoiseFloor:
             white = np.fft.rfft(rng.standard_normal((len(size), BLOCK)))
             noise[:, block * half : block * half + BLOCK] += window * np.fft.irfft(size * white, BLOCK)
         return noise[:, half : half + samples]
+
+
+def noise_floor(extras: Sequence[KeyExtras], channels: int) -> NoiseFloor | None:
+    """Return the median over keys of the densities; None without a recording or if most have digital silence.
+
+    Parameters
+    ----------
+    channels : number of channels of the instrument. If a noise floor has another number, the mean of its channels is
+        used.
+    """
+    entries = [key.noise for key in extras if key.noise is not None]
+    if not entries:
+        return None
+    frequency = entries[0].frequency
+    rows = [np.array([np.interp(frequency, noise.frequency, x) for x in noise.density]) for noise in entries]
+    same = all(len(row) == channels for row in rows)
+    density = np.median([row if same else row.mean(axis=0, keepdims=True) for row in rows], axis=0)
+    return NoiseFloor(frequency, density) if density.any() else None
+
+
+def noise_entry(noise: NoiseFloor | None) -> NoiseEntry | None:
+    """Return the entry of an `instrument.json`."""
+    return None if noise is None else NoiseEntry(noise.frequency, tuple(noise.density))

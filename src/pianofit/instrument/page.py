@@ -58,6 +58,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         quantity=instrument.quantity,
         recorded=len(instrument.recorded),
         evenness=instrument.evenness,
+        beyond=instrument.beyond_strings,
         states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
         figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
         rows=[_row(midi, key) for midi, key in instrument.keys.items()],

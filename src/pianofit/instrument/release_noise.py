@@ -1,18 +1,25 @@
-"""Noise of a key that is let go."""
+"""Noise of keys that are let go.
+
+Physics: the key, its action and the damper make a noise when they return, which was recorded with a silent string.
+Chosen: how its level depends on the release velocity and on the time that the note sounded. Nobody published either.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-# Logarithm of the amplitude from release velocity 64 to 127. Chosen: the noise of an impact is proportional to the
-# speed of the key, and the speed follows the MIDI velocity as that of hammers does (`VelocityCurve`).
-VELOCITY_RISE = 1.5
-# Time in which a note reaches 63 % of the noise of a long note, s. Chosen: a key that is let go this early has not come
-# to rest at its bottom, so it returns over a shorter way and more slowly.
+from ..dsp.filters import resample
+from ..schema.extras import KeyExtras, SoundEntry
+from ..schema.instrument import ReleaseEntry, VelocityCurve
+
+# Release velocity of the recordings. MIDI 1.0 gives it to keyboards that do not measure a velocity.
+RECORDED_VELOCITY = 64
+# Time in which a note reaches 63 % of the noise of a long note, s. Chosen: a key that is let go earlier has not come to
+# rest at its bottom, so it returns over a shorter way and more slowly.
 SOUNDING_TIME = 0.1
 
 
@@ -32,16 +39,58 @@ class ReleaseNoise:
     def sound(self, midi: int, velocity: int, seconds: float, rate: int) -> np.ndarray:
         """Return the noise of a key, file units [channels, samples].
 
+        The amplitude is proportional to the speed of the key, which follows the MIDI velocity as the speed of a hammer
+        does. It grows with the time t since the stroke as 1 − exp(−t/0.1 s).
+
         Parameters
         ----------
-        midi : MIDI number of the key. A key without a recording has the noise of the nearest recorded key.
-        velocity : MIDI release velocity, 0 to 127. 64 is the velocity of the recording.
-        seconds : time since the stroke. Long notes have the noise as recorded.
+        midi : MIDI number of the key. A key without a recording has the noise of the nearest recorded key, with an
+            energy that is interpolated between the recorded keys, in dB.
+        velocity : MIDI release velocity, 0 to 127. 64 is that of the recording.
+        seconds : time since the stroke, s.
         rate : sample rate, Hz.
         """
-        from scipy.signal import resample_poly
-
         nearest = min(self.sounds, key=lambda key: (abs(key - midi), key))
-        gain = math.exp(VELOCITY_RISE * (velocity - 64) / 63) * -math.expm1(-max(seconds, 0.0) / SOUNDING_TIME)
-        common = math.gcd(rate, self.rate)
-        return gain * resample_poly(self.sounds[nearest], rate // common, self.rate // common, axis=-1)
+        keys = sorted(self.sounds)
+        log_rms = {key: 0.5 * math.log(max(float(np.sum(self.sounds[key] ** 2)), 1e-30)) for key in keys}
+        level = float(np.interp(midi, keys, [log_rms[key] for key in keys])) - log_rms[nearest]
+        speed = VelocityCurve().at(max(velocity, 1)) / VelocityCurve().at(RECORDED_VELOCITY)
+        gain = math.exp(level) * speed * -math.expm1(-max(seconds, 0.0) / SOUNDING_TIME)
+        return gain * resample(self.sounds[nearest], self.rate, rate)
+
+
+def release_noise(sounds: Mapping[int, Sequence[tuple[np.ndarray, int]]], channels: int) -> ReleaseNoise | None:
+    """Return the noise of these keys: for each the recording of median energy, at one rate and in `channels`.
+
+    Parameters
+    ----------
+    sounds : noises [channels, samples] and their rates, Hz, by MIDI number.
+    channels : number of channels of the instrument. Noises with another number become mono.
+    """
+    if not sounds:
+        return None
+    chosen = {midi: sorted(takes, key=_energy)[len(takes) // 2] for midi, takes in sounds.items()}
+    rate = max(old for _, old in chosen.values())
+    same = all(len(samples) == channels for samples, _ in chosen.values())
+    mixed = {midi: x if same else x.mean(axis=0, keepdims=True) for midi, (x, _) in chosen.items()}
+    return ReleaseNoise({midi: resample(mixed[midi], old, rate) for midi, (_, old) in sorted(chosen.items())}, rate)
+
+
+def _energy(take: tuple[np.ndarray, int]) -> float:
+    samples, rate = take
+    return float(np.sum(samples**2)) / rate / len(samples)
+
+
+def recorded_releases(extras: Sequence[KeyExtras]) -> dict[int, list[tuple[np.ndarray, int]]]:
+    """Return the recorded noises and their rates by key."""
+    sounds: dict[int, list[tuple[np.ndarray, int]]] = {}
+    for key in extras:
+        for i, entry in enumerate(key.releases):
+            sounds.setdefault(key.midi, []).append(entry.samples(f"key {key.midi}: releases[{i}]"))
+    return sounds
+
+
+def release_entries(release: ReleaseNoise | None) -> tuple[ReleaseEntry, ...]:
+    """Return the entries of an `instrument.json`."""
+    sounds = {} if release is None else release.sounds
+    return tuple(ReleaseEntry(midi, SoundEntry.of(x, release.rate)) for midi, x in sounds.items() if release)

@@ -41,6 +41,7 @@ class Dampers:
     slope : exponent of the rate over frequency.
     covariance : of log `bass`, log `treble` and `slope` [3][3].
     source : what determined the law.
+    keys : MIDI numbers of the keys whose dampers were measured.
 
     Examples
     --------
@@ -59,6 +60,7 @@ class Dampers:
         (0.0, 0.0, LITERATURE_SD[2] ** 2),
     )
     source: Literal["literature", "recordings"] = "literature"
+    keys: tuple[int, ...] = ()
 
     def rates(self, midi: int, hz: np.ndarray) -> np.ndarray:
         """Return the rates that a damper adds when it rests fully on the string, 1/s; 0 for keys without damper.

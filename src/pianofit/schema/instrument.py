@@ -18,7 +18,9 @@ from ..errors import FitError
 from ..io.files import printable
 from ..parameters import PARAMETERS
 from .bridge import BridgeAdmittance
+from .dampers import Dampers
 from .decode import Number, convert, load_json
+from .extras import KeyNumber, NoiseEntry, SoundEntry
 from .fit import PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
@@ -34,7 +36,6 @@ Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # Longest recording in a file, s.
 ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
-KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
 # The state of a key. The values of a changed key were set by hand on the page to play.
 KeyState = Literal["recorded", "interpolated", "extrapolated", "changed"]
 
@@ -175,6 +176,14 @@ class KeyEntry:
     fit: FitSummary | None = None  # of a recorded key
 
 
+@dataclass(frozen=True)
+class ReleaseEntry:
+    """The noise of a key that is let go."""
+
+    midi: KeyNumber
+    sound: SoundEntry
+
+
 @dataclass(frozen=True, kw_only=True)
 class InstrumentFile:
     """A whole instrument."""
@@ -190,6 +199,9 @@ class InstrumentFile:
     warnings: tuple[str, ...] = ()
     even: Share = 0.0  # how far recorded keys were moved towards the laws
     bridge: BridgeAdmittance = field(default_factory=BridgeAdmittance)
+    dampers: Dampers = field(default_factory=Dampers)
+    releases: tuple[ReleaseEntry, ...] = ()  # of recorded keys
+    noise: NoiseEntry | None = None
     versions: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

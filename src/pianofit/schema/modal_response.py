@@ -120,29 +120,16 @@ class Knock:
         FitError
             If it is missing or is not a sound of that many channels.
         """
-        import soundfile
-
         kind = "wav" if self.wav is not None else "flac"
         text = self.wav if self.wav is not None else self.flac
         if folder is None or text is not None:
             path = f"{name}: modal_response.knock.{kind}"
-            data = _decoded(text, path)
+            data = decode_base64(text, path)
         else:
             path = folder / KNOCK_FILE
             data = read_file(path, LARGEST_KNOCK, FitError)
-        if data[:4] != MAGIC[kind]:  # no other decoder may read the data
-            raise FitError(f"{path}: is not a {kind.upper()} file; {HINT}")
-        try:
-            samples, rate = soundfile.read(io.BytesIO(data), frames=MOST_FRAMES, always_2d=True)
-        except soundfile.LibsndfileError as problem:
-            raise FitError(f"{path}: cannot be read ({problem.error_string}); {HINT}") from None
-        if not np.isfinite(samples).all():
-            raise FitError(f"{path}: samples must be finite; {HINT}")
-        if samples.shape[1] != channels or not RATES[0] <= rate <= RATES[1]:
-            raise FitError(
-                f"{path}: has {samples.shape[1]} channels at {rate} Hz, which does not match this fit; {HINT}"
-            )
-        return self.scale * samples.T, rate
+        samples, rate = decode_sound(data, kind, path, channels)
+        return self.scale * samples, rate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +219,31 @@ def encode_knock(response: ModalResponse, bits: int = 24) -> bytes | None:
     return encode_pcm(response.knock / size, response.rate, "flac", bits) if size else None
 
 
-def _decoded(text: str | None, where: str) -> bytes:
+def decode_sound(data: bytes, kind: str, path: object, channels: int | None = None) -> tuple[np.ndarray, int]:
+    """Return the sound of a FLAC or WAV file [channels, samples] and its rate, Hz.
+
+    Raises
+    ------
+    FitError
+        If it is not a sound of that kind and of that many channels. The message begins with `path`.
+    """
+    import soundfile
+
+    if data[:4] != MAGIC[kind]:  # no other decoder may read the data
+        raise FitError(f"{path}: is not a {kind.upper()} file; {HINT}")
+    try:
+        samples, rate = soundfile.read(io.BytesIO(data), frames=MOST_FRAMES, always_2d=True)
+    except soundfile.LibsndfileError as problem:
+        raise FitError(f"{path}: cannot be read ({problem.error_string}); {HINT}") from None
+    if not np.isfinite(samples).all():
+        raise FitError(f"{path}: samples must be finite; {HINT}")
+    if samples.shape[1] != (channels or samples.shape[1]) or not RATES[0] <= rate <= RATES[1]:
+        raise FitError(f"{path}: has {samples.shape[1]} channels at {rate} Hz, which does not match this fit; {HINT}")
+    return samples.T, rate
+
+
+def decode_base64(text: str | None, where: str) -> bytes:
+    """Return the bytes of a knock or another short sound; raise a `FitError` that names `where` it is."""
     try:
         if text is not None and len(text) <= LARGEST_KNOCK:
             return base64.b64decode(text, validate=True)

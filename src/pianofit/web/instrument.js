@@ -2,7 +2,7 @@
 
 import { pathOf, responseOf } from "./note.js";
 
-const INSTRUMENT_SCHEMA = 6; // see schema/instrument.py
+const INSTRUMENT_SCHEMA = 7; // see schema/instrument.py
 // Laws whose values and intervals become invalid when a slider is changed.
 const LAWS_OF = { force: ["F/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], strike: ["x0/L"], loss: ["b1", "d2"],
   inharmonicity: ["B"] };

@@ -1,0 +1,53 @@
+"""The spectrum of the noise floor of a recording.
+
+It is measured in the silence before the onset if the file has enough of it, otherwise in the second that has the least
+power. Partials that still ring there are narrow, so a running median over frequency ignores them. The medians of bands
+of a sixth of an octave are the noise density. The median of an exponential variable is ln 2 times its mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..recording.recording import Recording
+
+# Frequencies of the density, Hz: six an octave over the audible range.
+FREQUENCIES = 20.0 * 2.0 ** (np.arange(61) / 6)
+# Length of a segment, s, and the least length of the silence before the onset: two segments. The end of that silence is
+# left out, s, because a knock begins before the onset.
+SEGMENT, LEAST_SILENCE, GAP = 0.1, 0.2, 0.02
+# Width of the running median, Hz: wider than a partial in a segment, which is 4 / `SEGMENT` wide.
+MEDIAN_WIDTH = 150.0
+
+
+def noise_density(recording: Recording) -> np.ndarray:
+    """Return the density of the noise floor, full scale² per Hz, at `FREQUENCIES` [channels, frequencies].
+
+    It is 0 above half the sample rate, and for digital silence.
+    """
+    rate = recording.rate
+    silence = recording.frames[:, : max(recording.onset - round(GAP * rate), 0)]
+    length = round(SEGMENT * rate)
+    if silence.shape[-1] < LEAST_SILENCE * rate or np.ptp(silence) == 0:
+        silence = _quietest_second(recording.frames, rate)
+    starts = range(0, silence.shape[-1] - length + 1, length // 2)
+    window = np.hanning(length)
+    segments = np.stack([silence[:, start : start + length] * window for start in starts])
+    power = 2 * np.abs(np.fft.rfft(segments)) ** 2 / (rate * (window @ window))
+    return np.array([_density(row, rate / length) for row in np.median(power, axis=0) / np.log(2)])
+
+
+def _quietest_second(frames: np.ndarray, rate: int) -> np.ndarray:
+    """The second of a recording [channels, samples] with the least power; all of a shorter recording."""
+    length = min(frames.shape[-1], rate)
+    starts = [*range(0, frames.shape[-1] - length, length // 2), frames.shape[-1] - length]
+    parts = [frames[:, start : start + length] for start in starts]
+    return min(parts, key=lambda part: float(np.mean(part**2)))
+
+
+def _density(power: np.ndarray, step: float) -> np.ndarray:
+    """Density at `FREQUENCIES` of one channel from the power at multiples of `step`, Hz [bins]."""
+    width = max(round(MEDIAN_WIDTH / step), 1)
+    padded = np.pad(power[1:], (width // 2, width - 1 - width // 2), mode="symmetric")  # without the offset
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+    return np.interp(FREQUENCIES, step * np.arange(1, len(power)), smooth, right=0.0)

@@ -1,0 +1,119 @@
+"""Damper, release noise and noise floor of a key: the measurements beyond its string and hammer.
+
+A batch writes it as `extras.json` in the folder of a key. An `instrument.json` holds the same entries.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
+from ..errors import FitError
+from ..io.files import MAX_CHANNELS, encode_pcm, printable
+from .decode import Number, convert, load_json
+from .modal_response import decode_base64, decode_sound
+
+EXTRAS_FILE = "extras.json"
+EXTRAS_SCHEMA = 1
+# Largest extras.json, bytes.
+LARGEST_EXTRAS = 2**25
+# Largest number of frequencies of a noise floor.
+MOST_FREQUENCIES = 1000
+HINT = "give the folder that pianofit batch wrote"
+KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DamperEntry:
+    """The damper of a key in one recording."""
+
+    file: str
+    sha256: str  # of its bytes
+    release_s: Number  # time of the release after the onset, s
+    log_rate: Annotated[float, Meta(ge=-10.0, le=10.0)]  # logarithm of the added decay rate at partial 1, in 1/s
+    slope: Annotated[float, Meta(ge=-10.0, le=10.0)]  # exponent of the rate over frequency
+    covariance: tuple[tuple[Number, Number], tuple[Number, Number]]  # of both
+    frequency: np.ndarray  # Hz [partials]
+    rate: np.ndarray  # 1/s [partials]
+    rate_error: np.ndarray  # standard errors, 1/s [partials]
+
+    def __post_init__(self) -> None:
+        if not np.linalg.eigvalsh(np.array(self.covariance)).min() > 0:
+            raise ValueError("Expected a covariance with eigenvalues above 0")
+
+
+@dataclass(frozen=True)
+class SoundEntry:
+    """A sound as FLAC of 16 bits in base64, divided by `scale`."""
+
+    scale: Annotated[float, Meta(gt=0.0, le=1e6)]  # full scale in file units
+    flac: str
+    file: str = ""  # recording from which it was cut
+
+    @classmethod
+    def of(cls, samples: np.ndarray, rate: int, file: str = "") -> SoundEntry:
+        """Return the entry of a sound [channels, samples]."""
+        scale = float(np.abs(samples).max()) or 1.0
+        return cls(scale, base64.b64encode(encode_pcm(samples / scale, rate, "flac", 16)).decode(), file)
+
+    def samples(self, where: str) -> tuple[np.ndarray, int]:
+        """Return the sound [channels, samples] and its rate, Hz.
+
+        Raises
+        ------
+        FitError
+            If it cannot be read. The message names `where` the entry is.
+        """
+        samples, rate = decode_sound(decode_base64(self.flac, f"{where}.flac"), "flac", f"{where}.flac")
+        return self.scale * samples, rate
+
+
+@dataclass(frozen=True)
+class NoiseEntry:
+    """A noise floor."""
+
+    frequency: np.ndarray  # Hz, ascending [frequencies]
+    density: tuple[np.ndarray, ...]  # file units² per Hz, of each channel [frequencies]
+
+    def __post_init__(self) -> None:
+        shapes = {self.frequency.shape, *(row.shape for row in self.density)}
+        if len(shapes) != 1 or self.frequency.ndim != 1 or not 2 <= len(self.frequency) <= MOST_FREQUENCIES:
+            raise ValueError(f"Expected 2 to {MOST_FREQUENCIES} frequencies, and a density for each")
+        if not 1 <= len(self.density) <= MAX_CHANNELS or not all((row >= 0).all() for row in self.density):
+            raise ValueError(f"Expected densities of 0 or more for 1 to {MAX_CHANNELS} channels")
+        if not (np.diff(self.frequency, prepend=0.0) > 0).all():
+            raise ValueError("Expected frequencies that rise from above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyExtras:
+    """Content of an `extras.json`."""
+
+    schema: int = EXTRAS_SCHEMA
+    program: str = "pianofit"
+    kind: Literal["extras"] = "extras"
+    midi: KeyNumber
+    dampers: tuple[DamperEntry, ...] = ()
+    releases: tuple[SoundEntry, ...] = ()
+    noise: NoiseEntry | None = None
+
+
+def read_extras(path: str | os.PathLike[str]) -> KeyExtras:
+    """Read an `extras.json`.
+
+    Raises
+    ------
+    FitError
+        If the file is not of this kind and schema. The message names the file and the entry.
+    """
+    content = load_json(path, Any, LARGEST_EXTRAS, f"an {EXTRAS_FILE}", HINT)
+    is_table = isinstance(content, dict)
+    if not is_table or (content.get("kind"), content.get("schema")) != ("extras", EXTRAS_SCHEMA):
+        raise FitError(f"{printable(path)}: is not an {EXTRAS_FILE} of schema {EXTRAS_SCHEMA}; {HINT}")
+    return convert(content, KeyExtras, printable(path), HINT)
