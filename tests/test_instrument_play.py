@@ -36,7 +36,7 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, int], 
 def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, int], ...] = ()) -> np.ndarray:
     """A song far below the threshold of the limiter, without resonance, 12 s."""
     quiet = with_notes(PIANO, {m: v._replace(gain=1e-2 * v.gain) for m, v in notes_of(PIANO).items()})
-    done = render_song(quiet, song(*notes, pedal=pedal), RATE, options=PlayOptions(resonance=False))
+    done = render_song(quiet, song(*notes, pedal=pedal), RATE, options=PlayOptions(resonance=0.0))
     assert done.gain_db == done.limited_db == 0
     assert len(done.samples) == 1
     return np.pad(done.samples[0], (0, 12 * RATE))[: 12 * RATE]
@@ -152,7 +152,7 @@ def test_high_keys_have_no_dampers():
 
 def test_one_channel_is_heard_in_both_and_strokes_stay_together():
     piano = piano_of({45: rung_note(45), 60: uneven_note(60)})
-    dry = PlayOptions(resonance=False)
+    dry = PlayOptions(resonance=0.0)
     both = render_song(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE, options=dry).samples
     one, two = (render_song(replace(piano, keys={m: piano.keys[m]}), song(x), RATE).samples
                 for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip

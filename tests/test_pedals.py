@@ -13,7 +13,7 @@ from pianofit.playback import PedalRange, PlayOptions, Song, render_song
 from pianofit.playback.pedals import key_motions, releases
 
 RATE = 48_000
-DRY = PlayOptions(resonance=False)
+DRY = PlayOptions(resonance=0.0)
 PIANO = true_instrument(range(40, 73))
 # Below the threshold of the limiter, and so loud that the end of modes at -160 dB does not matter.
 QUIET = with_notes(PIANO, {m: v._replace(gain=0.2 * v.gain) for m, v in notes_of(PIANO).items()})

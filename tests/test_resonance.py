@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pianofit.playback.coupled_modes import MOST_BRIDGE_SHARE, TAPER, CoupledModes, bridge_drive
+from pianofit.playback.resonance import HOP_SECONDS as HOP
 
 RESISTANCE = 2000.0  # kg/s
 PARTIALS = 4
 PLACE = 5 / 41
-HOP = 0.005
 CENT = 2 ** (1 / 1200)
 
 
@@ -58,13 +58,14 @@ CASES = {
 }  # fmt: skip
 
 
-BEAT = 80  # hops: the period of the beats 20 cents off, 0.4 s
+BEAT = round(0.4 / HOP)  # hops: the period of the beats 20 cents off
+HEARD = round(3.0 / HOP)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_coupled_strings_move_as_by_finite_differences(case):
     """Energy of each string, struck and free, within 0.5 dB over 3 s. Minima of beats are averaged with the rest."""
-    strings, hops = StringsOnBridge(CASES[case], RESISTANCE), 600 + BEAT
+    strings, hops = StringsOnBridge(CASES[case], RESISTANCE), HEARD + BEAT
     coupled, strength, line, k = modes_of(strings)
     found = np.abs(played(coupled, strength, line == 0, hops)) ** 2
     states = strings.motion(strings.impulse(0, PLACE), HOP, hops)
@@ -77,8 +78,8 @@ def test_coupled_strings_move_as_by_finite_differences(case):
     # The pulls of free strings on the struck one are heard, not only computed: alone it would decay otherwise.
     if case == "unison":
         first = np.flatnonzero((line == 0) & (k == 1))[0]
-        alone = np.abs(strength[first] * np.exp(coupled.pole[first] * 3.0)) ** 2
-        assert 10 * np.log10(found[600, first] / alone) > 1.0
+        alone = np.abs(strength[first] * np.exp(coupled.pole[first] * HEARD * HOP)) ** 2
+        assert 10 * np.log10(found[HEARD, first] / alone) > 1.0
 
 
 def test_two_equal_strings_are_weinreichs():

@@ -39,7 +39,17 @@ __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "l
 # Instruments of 88 keys from fits, songs, and exports.
 __all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "load_extras"]
 __all__ += ["build_instrument", "load_instrument"]
-__all__ += ["write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary"]
+__all__ += [
+    "write_instrument",
+    "Song",
+    "load_song",
+    "Performance",
+    "PedalRange",
+    "PlayOptions",
+    "render_song",
+    "ExportOptions",
+    "ExportSummary",
+]
 __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
 # Libraries, and blind listening tests.
 __all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
@@ -81,7 +91,7 @@ if TYPE_CHECKING:
     from .literature import Preset, preset, typical
     from .model import Modes, Note, Simulation, levels, mode_table, pluck, simulate, spectrum, strike, waveform
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
-    from .playback import Performance, Song, load_song, render_song
+    from .playback import PedalRange, Performance, PlayOptions, Song, load_song, render_song
     from .recording.recording import Recording, load_recording, recording_from_samples
     from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Result
@@ -112,7 +122,7 @@ _MODULES = {
     ),
     "listening.result": ("count_answers",),
     "listening.sounds": ("ListeningSummary", "write_listening_test"),
-    "playback": ("Performance", "Song", "load_song", "render_song"),
+    "playback": ("PedalRange", "Performance", "PlayOptions", "Song", "load_song", "render_song"),
     "web": ("PageSummary", "write_playable_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),

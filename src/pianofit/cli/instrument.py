@@ -61,20 +61,33 @@ def play(
     prefix: Prefix = None,
     even: Even = 0.0,
     rate: Annotated[int, RATE] = 48_000,
+    pedal_range: Annotated[
+        tuple[float, float],
+        typer.Option(
+            metavar="LOW HIGH", help="Half pedal: values of controller 64 at which dampers begin to lift, and are up."
+        ),
+    ] = (24.0, 64.0),
+    resonance: Annotated[
+        float,
+        typer.Option(metavar="0...1", help="How much strings without a damper sound when others excite them."),
+    ] = 1.0,
+    noise: Annotated[bool, typer.Option("--noise", help="Add the noise floor of the recordings.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the noise floor.")] = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Play a MIDI file on a fitted instrument."""
+    """Play a MIDI file on a fitted instrument, with all three pedals."""
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
-    from ..playback import load_song, render_song
+    from ..playback import PedalRange, PlayOptions, load_song, render_song
 
     with progress_bar() as bar:
         check_sound_target(out, force)
         loaded, notes = load_instrument(built, prefix, even), load_song(song)
         enable_program_cache()
         start = time.perf_counter()
-        rendered = render_song(loaded, notes, rate, bar)
+        options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed)
+        rendered = render_song(loaded, notes, rate, bar, options)
         elapsed = time.perf_counter() - start
     write_file(out, encode_pcm(rendered.samples, rate), force)
     seconds = rendered.samples.shape[-1] / rate

@@ -38,10 +38,13 @@ class CoupledModes:
     drive : v, √(1/s) [modes].
     string : number of the string, or of the unison, of each mode. Its modes are not coupled with each other, because
         their poles are those that they have together on the bridge [modes].
+    common : share of the motion of the bridge at one string that other strings share, 0 to 1. It is 1 for strings at
+    one
+        point.
     """
 
-    def __init__(self, pole: np.ndarray, drive: np.ndarray, string: np.ndarray) -> None:
-        self.pole, self.drive = pole, drive
+    def __init__(self, pole: np.ndarray, drive: np.ndarray, string: np.ndarray, common: float = 1.0) -> None:
+        self.pole, self.drive, self.common = pole, drive, common
         omega = np.imag(pole)
         self._omega = omega / TAPER
         self._ends = np.array(
@@ -65,7 +68,7 @@ class CoupledModes:
         total = right - left + self._omega * (left + right - 2 * sums[1:])
         total += 2 * moments[1:] - left_moment - right_moment
         own = self._own @ driven.view(float).reshape(-1, 2)
-        return drive * (total - own.view(complex)[:, 0])
+        return self.common * drive * (total - own.view(complex)[:, 0])
 
     def step(
         self, alone: np.ndarray, added: np.ndarray, half: np.ndarray, lift: np.ndarray, seconds: float
@@ -109,7 +112,7 @@ class CoupledModes:
         distance[taper == 1] = 1.0  # these have no part in it
         total = (weight / distance + mirrored / (target - np.conj(q))).sum(axis=0)
         total[source] = 0.0
-        return -self.drive * total
+        return -self.common * self.drive * total
 
 
 def bridge_drive(rate: np.ndarray, decay: np.ndarray, share: np.ndarray, partial: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from .coupled_modes import CoupledModes, bridge_drive
 from .repeated_strike import string_tables
 
 # Highest frequency of a free mode, Hz: higher ones decay fast and take little from the bridge. See docs/instrument.md.
-HIGHEST = 5000.0
+HIGHEST = 4000.0
 # Smallest strike weight Φ of a partial. Near a node of the stroke the measured level of a partial is error.
 LEAST_STRIKE = 0.1
 # Spacing of the frequencies at which transforms of forces are computed, Hz: pulses of some milliseconds are smooth
@@ -46,9 +46,9 @@ class FreeString(NamedTuple):
 
 
 class FreeStrings:
-    """Modes of all keys of an instrument at one sample rate."""
+    """Modes of all keys of an instrument at one sample rate, Hz; `common` as for `CoupledModes`."""
 
-    def __init__(self, instrument: Instrument, rate: int) -> None:
+    def __init__(self, instrument: Instrument, rate: int, common: float = 1.0) -> None:
         self.instrument, self.rate = instrument, rate
         self.keys = sorted(instrument.keys)
         strings = [_free_string(instrument, midi, rate) for midi in self.keys]
@@ -64,7 +64,7 @@ class FreeStrings:
         own = np.concatenate([string.chosen for string in strings])[order]
         self.modes = {midi: np.flatnonzero(self.key_index == i) for i, midi in enumerate(self.keys)}
         self.chosen = {midi: own[modes] for midi, modes in self.modes.items()}
-        self.coupled = CoupledModes(self.pole, self.drive, self.key_index)
+        self.coupled = CoupledModes(self.pole, self.drive, self.key_index, common)
         self._responses: dict[int, np.ndarray] = {}
 
     def amplitudes(self, midi: int, state: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ class FreeStrings:
         in all channels.
         """
         transform = _knock_transform(response, self.pole)
-        radiated = -2 * self.drive**2 * (np.conj(self.sound) * transform).sum(axis=0)
+        radiated = -2 * self.coupled.common * self.drive**2 * (np.conj(self.sound) * transform).sum(axis=0)
         power = (np.abs(self.sound) ** 2).sum(axis=0)
         return radiated / np.maximum(power, 1e-300)
 

@@ -20,12 +20,23 @@ FELT_EXPONENT = 2
 class PedalRange(NamedTuple):
     """Values of controller 64 between which the right pedal lifts the dampers.
 
-    The default leaves a pedal that is a switch as MIDI defines it: 64 and above is down. It may be used from 24 up,
-    because pedals and files without half pedal send 0.
+    With the default a pedal that is a switch works as MIDI defines it: 64 and above is down. Half pedal lies below,
+    where pedals and files without half pedal have only 0.
+
+    Parameters
+    ----------
+    low : up to this value dampers rest fully on the strings.
+    high : from this value on they do not touch them.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> pianofit.PedalRange().contact(44)
+    0.25
     """
 
-    low: float = 24.0  # up to here dampers rest fully on the strings
-    high: float = 64.0  # from here on they do not touch them
+    low: float = 24.0
+    high: float = 64.0
 
     def check(self) -> PedalRange:
         """Return this range, or raise a `ParameterError` unless 0 <= low < high <= 127."""

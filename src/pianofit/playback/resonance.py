@@ -22,7 +22,7 @@ from ..model.modal_response import ForcePulse
 from .free_strings import HIGHEST, FreeStrings
 
 # Step of the amplitudes, s: bridges and dampers act within some ten milliseconds.
-HOP_SECONDS = 0.005
+HOP_SECONDS = 0.008
 # Smallest ratio of the reduced rate to the highest frequency: room for the filter of the resampling.
 RATE_RATIO = 2.2
 # Steps whose sound is computed at once.
@@ -54,6 +54,7 @@ def render_resonance(
     contacts: Mapping[int, Sequence[Contact]],
     rate: int,
     samples: int,
+    common: float = 1.0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> np.ndarray:
     """Render what the strings add to each other [channels, samples], from the first touch at sample 0 on.
@@ -66,9 +67,10 @@ def render_resonance(
         are always free.
     rate : sample rate, Hz.
     samples : length.
+    common : as for `CoupledModes`.
     progress : called with the finished fraction.
     """
-    free = FreeStrings(instrument, rate)
+    free = FreeStrings(instrument, rate, common)
     ratio = max(int(rate / (RATE_RATIO * HIGHEST)), 1)
     reduced = max(round(HOP_SECONDS * rate / ratio), 1)  # samples of a hop at the reduced rate
     hop = reduced * ratio

@@ -47,12 +47,28 @@ class Performance(NamedTuple):
 
 
 class PlayOptions(NamedTuple):
-    """How a song is played."""
+    """How a song is played.
 
-    pedal_range: PedalRange = PedalRange()  # of controller 64, for half pedal
-    resonance: bool = True  # free strings are excited by others
-    noise: bool = False  # add the noise floor of the recordings
-    seed: int = 0  # of the noise floor
+    Parameters
+    ----------
+    pedal_range : values of controller 64 for half pedal.
+    resonance : how much free strings sound when others excite them, from 0 (not at all) to 1: as if all strings stood
+    at
+        one point of the bridge.
+    noise : whether to add the noise floor of the recordings.
+    seed : seed of the noise floor.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> pianofit.PlayOptions(pianofit.PedalRange(40, 90), resonance=0.5).pedal_range.contact(40)
+    1.0
+    """
+
+    pedal_range: PedalRange = PedalRange()
+    resonance: float = 1.0
+    noise: bool = False
+    seed: int = 0
 
 
 AS_RECORDED = PlayOptions()
@@ -98,6 +114,7 @@ def render_song(
     (1, 4)
     """
     check_range("rate=", rate, *RATES, " Hz")
+    check_range("resonance=", options.resonance, 0.0, 1.0)
     lead = round(instrument.pre_onset_s * rate)
     size = int((song.seconds + LAST_RING) * rate) + lead
     if size > MAX_SAMPLES:
@@ -125,7 +142,13 @@ def render_song(
     if options.resonance and strokes and _meet(keys, instrument):
         contacts = {key: [Contact(event.sample, event.contact) for event in events] for key, events in keys.items()}
         added = render_resonance(
-            instrument, strokes, contacts, rate, size - lead, lambda share: progress("playing", 0.7 + 0.28 * share)
+            instrument,
+            strokes,
+            contacts,
+            rate,
+            size - lead,
+            options.resonance,
+            lambda share: progress("playing", 0.7 + 0.28 * share),
         )
         total[:, lead:] += added
         last = max(last, lead + int(np.flatnonzero(np.abs(added).max(axis=0) > SILENCE).max(initial=-1)) + 1)
