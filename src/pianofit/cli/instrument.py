@@ -70,7 +70,7 @@ def play(
     resonance: Annotated[
         float,
         typer.Option(metavar="0...1", help="How much strings without a damper sound when others excite them."),
-    ] = 1.0,
+    ] = 0.3,
     noise: Annotated[bool, typer.Option("--noise", help="Add the noise floor of the recordings.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the noise floor.")] = 0,
     force: Force = False,

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..conversions import DB, HALF_WIDTH_95
+from ..conversions import HALF_WIDTH_95
 from ..literature import typical_strings
-from ..model.modal_response import ModalResponse
+from ..model.modal_response import EARLY, ModalResponse
 from ..model.note import Note
 from ..schema.bridge import LITERATURE, LITERATURE_SD, BridgeAdmittance
 
@@ -23,10 +23,7 @@ KNOTS = 31.25 * 2.0 ** (0.5 * np.arange(17))
 # Standard deviation of the logarithm about its mean over frequency, and length, octaves, over which it is smooth: the
 # mean value of Skudrzyk, without single resonances of the soundboard. Chosen.
 SHAPE_SD, SHAPE_OCTAVES = 0.5, 1.0
-# Levels below its begin, dB, between which a partial's prompt sound and aftersound decay: as the early decay time of
-# ISO 3382, and where most double decays have bent.
-PROMPT_DB, AFTERSOUND_DB = (0.0, 10.0), (25.0, 35.0)
-# Least ratio of both slopes of a partial that shows its aftersound.
+# Least ratio of both rates of a partial that shows its aftersound.
 LEAST_BEND = 1.25
 # Degrees of freedom of Student's t for the scatter of partials, and rounds of reweighting.
 FREEDOM, ROUNDS = 4.0, 20
@@ -75,28 +72,25 @@ def measure_bridge(notes: Iterable[tuple[int, Note]]) -> BridgeAdmittance:
 def prompt_excess(response: ModalResponse) -> list[tuple[float, float]]:
     """Return frequency, Hz, and decay rate of the prompt sound minus that of the aftersound, 1/s, of partials.
 
-    Both are slopes of the energy without interference. Partials with one mode are left out, as are partials whose decay
-    hardly bends: they do not show their aftersound.
+    Σ P e^{pt} decays at the rate -Re Σ P p e^{pt} / Σ P e^{pt}, also where its modes beat. It is taken at the begin of
+    the early decay, because modes that die before it belong to the attack. The aftersound decays as the slowest mode.
+    Partials with one mode are left out, as are partials whose decay hardly bends: they do not show their aftersound.
     """
     found = []
     for number in np.unique(response.partial):
         chosen = response.partial == number
-        rate, power = -np.real(response.pole[chosen]), np.sum(np.abs(response.pattern[:, chosen]) ** 2, axis=0)
-        if len(rate) < 2 or not power.sum() > 0:
+        pole, pattern = response.pole[chosen], response.pattern[:, chosen]
+        pattern = pattern * np.exp(pole * EARLY[0])
+        begin = pattern.sum(axis=1)
+        power = float(np.sum(np.abs(begin) ** 2))
+        if len(pole) < 2 or not power > 0:
             continue
-        early, late = (_slope(rate, power / power.sum(), *levels) for levels in (PROMPT_DB, AFTERSOUND_DB))
-        if early > LEAST_BEND * late:
-            hz = float(np.imag(response.pole[chosen]) @ power / power.sum()) / (2 * np.pi)
-            found.append((hz, early - late))
+        # Mean over channels, weighted with their energy.
+        initial = -float(np.real(np.conj(begin) @ pattern @ pole) / power)
+        late = float(-np.real(pole).max())
+        if initial > LEAST_BEND * late:
+            found.append((float(np.imag(pole).mean()) / (2 * np.pi), initial - late))
     return found
-
-
-def _slope(rate: np.ndarray, power: np.ndarray, begin: float, end: float) -> float:
-    """Mean decay rate, 1/s, of Σ power exp(-2 rate t) between two levels below its begin, dB."""
-    time = np.geomspace(1e-3, 1e2, 2000) / rate.min()
-    level = -10 * np.log10(np.exp(-2 * np.outer(time, rate)) @ power)
-    first, last = np.interp([begin, end], level, time)
-    return (end - begin) / DB / (last - first)
 
 
 def _tension_over_length(note: Note) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
-from ..conversions import DB, LOWEST_KEY, hertz_of
+from ..conversions import A4, DB, LOWEST_KEY, hertz_of
 from ..errors import ParameterError
 from ..io.number_format import counted
 from ..model.note import Note
@@ -180,7 +180,17 @@ class Instrument:
         dampers = f"dampers: {low:.0f} to {high:.0f} dB/s at the fundamental, from: {measured or self.dampers.source}"
         release = counted(len(self.release.sounds), "key") if self.release else "none"
         noise = f"{self.noise.level_db:.0f} dB re full scale" if self.noise else "none"
-        return f"{dampers}; release noise: {release} recorded; noise floor: {noise}"
+        return f"{dampers}; release noise: {release} recorded; noise floor: {noise}\n{self._bridge}"
+
+    @property
+    def _bridge(self) -> str:
+        """Text on the impedance of the bridge, 1/Re Y, at the frequency of A4."""
+        low, high = (float(1 / ends[0]) for ends in reversed(self.bridge.interval(np.array([A4]))))
+        source = f"{self.bridge.source}, {counted(self.bridge.partials, 'partial')}" * bool(self.bridge.partials)
+        return (
+            f"bridge: {1 / self.bridge.at(np.array([A4]))[0]:.0f} kg/s at {A4:.0f} Hz, 95 % {low:.0f} to {high:.0f}, "
+            f"from: {source or self.bridge.source}"
+        )
 
     def summary(self) -> str:
         """Return a summary in a few lines: states and evenness of keys, keyboard laws, MIDI velocity, warnings."""

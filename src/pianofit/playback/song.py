@@ -46,6 +46,12 @@ class Performance(NamedTuple):
     restrikes: int  # strikes on a string that was still sounding
 
 
+# Share of the motion of the bridge that strings have in common, by default. Points of a soundboard some decimetres
+# apart move together only in part. Chosen: with 1, as for strings at one point, notes in the middle of the keyboard
+# ring two to four times as long under the pedal (benchmarks/resonance.py). Measured ones ring a little longer.
+RESONANCE = 0.3
+
+
 class PlayOptions(NamedTuple):
     """How a song is played.
 
@@ -66,7 +72,7 @@ class PlayOptions(NamedTuple):
     """
 
     pedal_range: PedalRange = PedalRange()
-    resonance: float = 1.0
+    resonance: float = RESONANCE
     noise: bool = False
     seed: int = 0
 

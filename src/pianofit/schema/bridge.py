@@ -55,4 +55,11 @@ class BridgeAdmittance:
 
     def at(self, hz: np.ndarray) -> np.ndarray:
         """Return the admittance at these frequencies, s/kg. Beyond the first and last frequency it is constant."""
-        return np.exp(np.interp(np.log(hz), np.log(self.hz), np.log(self.value)))
+        return self._interpolated(self.value, hz)
+
+    def interval(self, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of the 95 % intervals of `at`, s/kg [frequencies]."""
+        return self._interpolated(self.low, hz), self._interpolated(self.high, hz)
+
+    def _interpolated(self, column: tuple[float, ...], hz: np.ndarray) -> np.ndarray:
+        return np.exp(np.interp(np.log(hz), np.log(self.hz), np.log(column)))
