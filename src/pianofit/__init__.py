@@ -38,6 +38,7 @@ __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "lo
 __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
 # Instruments of 88 keys from fits, songs, and exports.
 __all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "build_instrument", "load_instrument"]
+__all__ += ["KeyPrior", "prior_of_key"]
 __all__ += ["write_instrument", "Song", "load_song", "Performance", "render_song", "ExportOptions", "ExportSummary"]
 __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
 # Libraries, and blind listening tests.
@@ -71,9 +72,11 @@ if TYPE_CHECKING:
         find_fits,
         load_instrument,
         load_keys,
+        prior_of_key,
         write_instrument,
     )
     from .io.files import encode_wav, write_wav
+    from .key_prior import KeyPrior
     from .listening.result import count_answers
     from .listening.sounds import ListeningSummary, write_listening_test
     from .literature import Preset, preset, typical
@@ -105,6 +108,7 @@ _MODULES = {
         "find_fits",
         "load_instrument",
         "load_keys",
+        "prior_of_key",
         "write_instrument",
     ),
     "listening.result": ("count_answers",),
@@ -135,6 +139,7 @@ _MODULES = {
     "literature": ("Preset", "preset", "typical"),
     "recording.recording": ("Recording", "load_recording", "recording_from_samples"),
     "io.files": ("encode_wav", "write_wav"),
+    "key_prior": ("KeyPrior",),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
     "setup": ("Measured", "RecordingInfo", "Setup"),
