@@ -9,8 +9,8 @@ are predicted: rms over partials, dB, one gain removed, as in `pianofit predict`
 
     recorded   the fitted layer itself in place of the predicted one
     alone      a fit with the literature's prior
-    joint      a fit with the prior that the first fits of all other keys give
-    all        a fit of all layers, with the predicted one among them: the error that the model itself leaves
+    joint      a fit with the prior that such fits of all other keys give
+    complete   a fit with the prior that fits of all layers of all other keys give: as much as other keys can tell
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +27,9 @@ import numpy as np
 from crossval import notes
 
 if TYPE_CHECKING:
-    from pianofit import Analysis, Result
+    from pianofit import Analysis, KeyPrior, Result
 
-COLUMNS = ("recorded", "alone", "joint", "all")
+COLUMNS = ("recorded", "alone", "joint", "complete")
 
 
 def chosen_keys(folder: Path, prefix: str | None, count: int) -> dict[str, tuple[str, list[Path]]]:
@@ -58,9 +59,29 @@ def errors(result: Result, others: Sequence[Analysis]) -> list[float]:
     return [result.predict(analysis).error_db for analysis in others]
 
 
+def stored(results: Mapping[str, Result]) -> list[Any]:
+    """The fits as an instrument reads them."""
+    from pianofit import load_keys
+
+    with tempfile.TemporaryDirectory() as place:
+        for key, result in results.items():
+            (folder := Path(place) / key).mkdir()
+            result.save(folder, page=False)
+        return load_keys([Path(place) / key / "fit.json" for key in results])
+
+
+def fitted_over_loudest(complete: Mapping[str, Result], fitted: Mapping[str, int], without: str) -> float:
+    """Velocity of the fitted layer over that of the loudest one: geometric mean over all keys but one."""
+    logs = []
+    for key, result in complete.items():
+        velocities = np.array([recording.v_H0 for recording in result.fit.recordings])
+        logs.append(np.log(velocities[fitted[key]] / velocities.max()))
+    return float(np.exp(np.mean([x for key, x in zip(complete, logs, strict=True) if key != without])))
+
+
 def main() -> None:
     """Print the table."""
-    from pianofit import Setup, analyse, fit, load_keys, load_recording, prior_of_key
+    from pianofit import Setup, analyse, fit, load_recording, prior_of_key
     from pianofit.analysis import note_to_midi
     from pianofit.model.program_cache import enable_program_cache
 
@@ -78,30 +99,28 @@ def main() -> None:
     sounds = {key: [analyse(load_recording(file), note=note) for file in files] for key, (note, files) in keys.items()}
     fitted = {key: min(options.layer or (len(files) + 1) // 2, len(files)) - 1 for key, (_, files) in keys.items()}
 
-    def fit_one(key: str, setup: Setup) -> Result:
+    def fit_one(key: str, prior: KeyPrior | None = None) -> Result:
         (note, files), i = keys[key], fitted[key]
-        return fit(files[i], setup=setup, note=note, analyses=[sounds[key][i]], progress=False)
+        return fit(files[i], setup=Setup(prior=prior), note=note, analyses=[sounds[key][i]], progress=False)
 
-    alone: dict[str, Result] = {key: fit_one(key, Setup()) for key in keys}
-    with tempfile.TemporaryDirectory() as place:
-        for key, result in alone.items():
-            (folder := Path(place) / key).mkdir()
-            result.save(folder, page=False)
-        loaded = load_keys([Path(place) / key / "fit.json" for key in keys])
+    alone = {key: fit_one(key) for key in keys}
+    complete = {
+        key: fit(*files, note=note, analyses=sounds[key], progress=False) for key, (note, files) in keys.items()
+    }
+    fits = [stored(results) for results in (alone, complete)]
     rows: list[dict[str, Any]] = []
-    print(f"{'':28}" + "".join(f"{column:>10}" for column in COLUMNS) + "   m/s alone, joint", flush=True)
+    print(f"{'':28}" + "".join(f"{column:>10}" for column in COLUMNS) + "   m/s", flush=True)
     for key, (note, files) in keys.items():
-        joint = fit_one(key, Setup(prior=prior_of_key(loaded, note_to_midi(note))))
-        whole = fit(*files, note=note, analyses=sounds[key], progress=False)
+        priors = [prior_of_key(own, note_to_midi(note)) for own in fits]
+        priors[1] = replace(priors[1], velocity=priors[1].velocity * fitted_over_loudest(complete, fitted, key))
+        results = [alone[key], *(fit_one(key, prior) for prior in priors)]
         own, others = sounds[key][fitted[key]], [i for i in range(len(files)) if i != fitted[key]]
         analyses = [sounds[key][i] for i in others]
-        columns = [[recorded_error(own, other) for other in analyses]]
-        columns += [errors(result, analyses) for result in (alone[key], joint, whole)]
-        velocities = [alone[key].fit.reference.v_H0, joint.fit.reference.v_H0]
+        columns = [[recorded_error(own, other) for other in analyses], *(errors(one, analyses) for one in results)]
+        velocities = ", ".join(f"{one.fit.reference.v_H0:.2f}" for one in results)
         for i, found in zip(others, np.transpose(columns).tolist(), strict=True):
             rows.append({"key": key, "file": files[i].name} | dict(zip(COLUMNS, found, strict=True)))
-            cells = "".join(f"{x:10.2f}" for x in found)
-            print(f"{files[i].stem:28}{cells}   " + ", ".join(f"{v:.2f}" for v in velocities), flush=True)
+            print(f"{files[i].stem:28}" + "".join(f"{x:10.2f}" for x in found) + f"   {velocities}", flush=True)
     table = np.array([[row[column] for column in COLUMNS] for row in rows])
     for name, statistic in (("mean", np.mean), ("median", np.median), ("worst", np.max)):
         print(f"{name:28}" + "".join(f"{x:10.2f}" for x in statistic(table, axis=0)))

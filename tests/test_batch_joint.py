@@ -121,7 +121,8 @@ def test_a_key_without_a_second_fit_keeps_its_first(tmp_path):
 
 def test_instruments_are_separate_and_a_single_key_keeps_its_first_fit(tmp_path):
     jobs = library(tmp_path / "in", TEXTS)
-    jobs = [replace(job, key=f"{name}-{job.key}") for job, name in zip(jobs, ("grand", "grand", "upright"), strict=True)]
+    names = "grand", "grand", "upright"
+    jobs = [replace(job, key=f"{name}-{job.key}") for job, name in zip(jobs, names, strict=True)]
     events: list[str] = []
     run_joint_batch(jobs, tmp_path / "out", pool, tell=lambda p: events.append(p.event))
     assert prior_in(tmp_path / "out", "grand-A0") is not None
@@ -145,6 +146,7 @@ def test_a_library_of_one_key_is_refused_in_one_line(tmp_path, capsys):
 def test_the_setup_of_a_job_has_its_prior(whole, tmp_path):
     place, jobs, _ = whole
     prior = prior_in(place / "out", "A0")
+    assert prior is not None
     job = replace(jobs[0], prior=prior.to_toml(), settings=replace(jobs[0].settings, setup="string.length = 1.0\n"))
     assert Setup.from_dict(tomllib.loads(job.setup)).prior == prior
     assert job.hash != replace(job, prior="").hash
