@@ -1,6 +1,6 @@
 """Whether the other keys of a keyboard help a key of which one layer was recorded.
 
-    python benchmarks/joint_study.py ../shared/keyboard                 all keys, the middle layer of each
+    python benchmarks/joint_study.py ../shared/keyboard                 all keys, the middle file of each
     python benchmarks/joint_study.py ../shared/keyboard --keys 5 --layer 1
     python benchmarks/joint_study.py ../shared/recordings --prefix cp80 --json FILE
 
@@ -11,6 +11,8 @@ are predicted: rms over partials, dB, one gain removed, as in `pianofit predict`
     alone      a fit with the literature's prior
     joint      a fit with the prior that such fits of all other keys give
     complete   a fit with the prior that fits of all layers of all other keys give: as much as other keys can tell
+    own        the hammer of a fit of all layers of the key itself, without velocity discrepancy, through the path of
+               the fitted layer: the part that no prior of the hammer can remove
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from crossval import notes
 if TYPE_CHECKING:
     from pianofit import Analysis, KeyPrior, Result
 
-COLUMNS = ("recorded", "alone", "joint", "complete")
+COLUMNS = ("recorded", "alone", "joint", "complete", "own")
 
 
 def chosen_keys(folder: Path, prefix: str | None, count: int) -> dict[str, tuple[str, list[Path]]]:
@@ -43,15 +45,32 @@ def chosen_keys(folder: Path, prefix: str | None, count: int) -> dict[str, tuple
     return {order[i]: found[order[i]] for i in places}
 
 
-def recorded_error(fitted: Analysis, other: Analysis) -> float:
-    """Level error of one layer in place of another, dB."""
-    from pianofit.criterion import level_error_db
+def level_change(fitted: Analysis, other: Analysis) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the scored partials that both layers have, and their change of level, dB [partials]."""
     from pianofit.result.comparison import audible_partials
 
     own, p = fitted.partials, other.partials
     number = np.intersect1d(own.number, p.number[audible_partials(p.frequency, p.level)])
     levels = [x.level[np.searchsorted(x.number, number)] for x in (own, p)]
-    return level_error_db(*levels)
+    return number, levels[1] - levels[0]
+
+
+def recorded_error(fitted: Analysis, other: Analysis) -> float:
+    """Level error of one layer in place of another, dB."""
+    from pianofit.criterion import level_error_db
+
+    _, change = level_change(fitted, other)
+    return level_error_db(np.zeros_like(change), change)
+
+
+def own_error(result: Result, sounds: Sequence[Analysis], fitted: int, other: int) -> float:
+    """Error of the change of level between two layers by the hammer of a fit of both, dB."""
+    from pianofit.criterion import level_error_db
+
+    number, change = level_change(sounds[fitted], sounds[other])
+    velocities = np.array([result.fit.recordings[i].v_H0 for i in (fitted, other)])
+    levels = result.note.levels_and_knock(velocities, int(number.max()))[0][:, number - 1]
+    return level_error_db(levels[1] - levels[0], change)
 
 
 def errors(result: Result, others: Sequence[Analysis]) -> list[float]:
@@ -89,9 +108,7 @@ def main() -> None:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--prefix", help="instrument, if the folder has several")
     parser.add_argument("--keys", type=int, default=0, help="number of keys; default: all")
-    parser.add_argument(
-        "--layer", type=int, default=0, help="fitted layer of each key, 1 is the softest; default: middle"
-    )
+    parser.add_argument("--layer", type=int, default=0, help="fitted file of each key, by name from 1; default: middle")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     enable_program_cache()
@@ -117,6 +134,7 @@ def main() -> None:
         own, others = sounds[key][fitted[key]], [i for i in range(len(files)) if i != fitted[key]]
         analyses = [sounds[key][i] for i in others]
         columns = [[recorded_error(own, other) for other in analyses], *(errors(one, analyses) for one in results)]
+        columns.append([own_error(complete[key], sounds[key], fitted[key], other) for other in others])
         velocities = ", ".join(f"{one.fit.reference.v_H0:.2f}" for one in results)
         for i, found in zip(others, np.transpose(columns).tolist(), strict=True):
             rows.append({"key": key, "file": files[i].name} | dict(zip(COLUMNS, found, strict=True)))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ from instrument_cases import ERRORS, fit_document, library, true_note, truth
 from observed_cases import GEOMETRY, played, tone
 from scipy import stats
 
+from pianofit.analysis import analyse
 from pianofit.errors import ParameterError, SetupError
 from pianofit.felt import LAWS, SoftHammer
-from pianofit.inference import FitProblem, build_problem
+from pianofit.inference import FitProblem, build_problem, map_estimate
+from pianofit.inference.nuts import density_context, log_density, random_start
 from pianofit.inference.objective import Objective
 from pianofit.instrument import find_fits, load_keys, prior_of_key
 from pianofit.instrument.build import reference_values
@@ -36,9 +39,11 @@ from pianofit.instrument.quantity_law import STUDENT, Prior
 from pianofit.key_prior import PRIOR_QUANTITIES, KeyPrior
 from pianofit.model.note import Note
 from pianofit.parameters import Geometry, String
+from pianofit.recording.recording import recording_from_samples
 from pianofit.schema.decode import builtins_of, convert
 from pianofit.schema.fit import Fit
 from pianofit.setup import Setup
+from pianofit.synthetic import demo_recording
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -300,3 +305,16 @@ def test_reference_values_are_those_of_the_requested_keys(tmp_path):
     keys = load_keys(find_fits([library(tmp_path, [48, 60])]))
     assert reference_values(keys, [48, 60, 72]).shape == (len(LAW_QUANTITIES), 3)
     assert law_compression(60) > 0
+
+
+@pytest.mark.slow
+def test_the_density_of_a_sampler_contains_the_prior():
+    """At the minimum it is -F of the search, which computes the prior in NumPy."""
+    synthetic = demo_recording(50.0, 0)
+    recording = recording_from_samples(synthetic.samples, synthetic.rate, name="synthetic")
+    own = build_problem([recording], [analyse(recording)], replace(synthetic.setup, prior=some_prior()))
+    estimate = map_estimate(own)
+    at = density_context(own, estimate)
+    density = log_density(at, random_start(at, jax.random.PRNGKey(0), 0.0), own.cfg)
+    assert own.key_prior is not None
+    assert float(density) == pytest.approx(-estimate.minima.nll[0], abs=1e-6)

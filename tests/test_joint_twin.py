@@ -15,7 +15,8 @@ from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities
 from pianofit.instrument.predicted_key import NAMES, _at_scale
 from pianofit.model.note import Note
 
-KEYS = (38, 43, 48, 53, 58, 63)
+# Few partials in the treble leave much to the prior.
+KEYS = (60, 64, 68, 72, 76, 80)
 VELOCITY = 2.0  # m/s
 COMPARED = ("M_H/M_S", "F/M_S", "local_exponent", "mu")
 
@@ -40,7 +41,7 @@ def errors(results: dict[int, Result]) -> np.ndarray:
 @pytest.mark.slow
 def test_one_layer_of_each_key_tells_more_together(tmp_path):
     random, alone, joint = np.random.default_rng(2), {}, {}
-    files = {midi: record_key(tmp_path, midi, random, layers=(VELOCITY,)) for midi in KEYS}
+    files = {midi: record_key(tmp_path, midi, random, noise_db=-45.0, layers=(VELOCITY,)) for midi in KEYS}
     for midi in KEYS:
         alone[midi] = fit(*files[midi], note=midi_to_note(midi), progress=False)
         alone[midi].save(tmp_path / f"twin-{midi_to_note(midi).replace('#', 's')}", page=False)
@@ -49,4 +50,5 @@ def test_one_layer_of_each_key_tells_more_together(tmp_path):
         setup = Setup(prior=prior_of_key(loaded, midi))
         joint[midi] = fit(*files[midi], note=midi_to_note(midi), setup=setup, progress=False)
     rms = [np.sqrt(np.mean(errors(results) ** 2, axis=0)) for results in (alone, joint)]
-    assert math.prod(rms[1] / rms[0]) < 0.8 ** len(COMPARED), (rms, errors(alone), errors(joint))
+    assert (rms[1] < rms[0]).all()
+    assert math.prod(rms[1] / rms[0]) < 0.8 ** len(COMPARED)

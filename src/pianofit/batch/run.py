@@ -63,6 +63,8 @@ def _plan(job: Job, store: Store, retry_failed: bool) -> tuple[str, Entry]:
     if record is None:
         return "to do: new", fresh
     changed = [name for name in {**job.parts, **record.parts} if record.parts.get(name) != job.parts.get(name)]
+    if changed == ["prior"] and "prior" not in record.parts:
+        return "to do: second fit", fresh
     return f"to do: {' and '.join(changed) or 'something'} changed", fresh
 
 

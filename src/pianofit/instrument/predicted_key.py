@@ -64,12 +64,14 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
     velocities = [key.velocity for key in others if key.velocity is not None]
     # A given velocity sets the scale of all.
     velocity = math.exp(np.log(velocities).mean()) if len(velocities) == len(others) else LOUDEST_VELOCITY
-    moved = _at_scale(mean, midi, velocity / LOUDEST_VELOCITY)
-    jacobian = np.imag(
-        [_at_scale(mean + step, midi, velocity / LOUDEST_VELOCITY) for step in 1j * IMAGINARY * np.eye(len(mean))]
-    )
-    jacobian = jacobian.T / IMAGINARY
-    return _record(moved, jacobian @ covariance @ jacobian.T, midi, velocity)
+    return _record(*_with_scale(mean, covariance, midi, velocity / LOUDEST_VELOCITY), midi, velocity)
+
+
+def _with_scale(mean: np.ndarray, covariance: np.ndarray, midi: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """A prediction if all velocities are multiplied by `scale`."""
+    steps = 1j * IMAGINARY * np.eye(len(mean))
+    jacobian = np.imag([_at_scale(mean + step, midi, scale) for step in steps]).T / IMAGINARY
+    return _at_scale(mean, midi, scale), jacobian @ covariance @ jacobian.T
 
 
 def _at_scale(mean: np.ndarray, midi: int, scale: float) -> np.ndarray:
