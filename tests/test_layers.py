@@ -27,6 +27,7 @@ USES = {
     "conversions": "",
     "deferred": "",
     "errors": "",
+    "key_prior": "",
     "parameters": "io",
     "recording": "dsp io",
     "monotone_cubic": "",
@@ -37,9 +38,10 @@ USES = {
     "literature": "analysis monotone_cubic parameters",
     "felt": "io literature parameters x64",
     "model": "deferred dsp felt io parameters x64",
-    "setup": "felt io parameters",
-    "schema": "felt io model parameters",
-    "inference": "analysis dsp felt io literature model parameters progress recording setup sobol threads x64",
+    "setup": "felt io key_prior parameters",
+    "schema": "felt io key_prior model parameters",
+    "inference": "analysis dsp felt io key_prior literature model parameters progress recording setup sobol threads"
+    " x64",
     "synthetic": "felt io literature model parameters recording setup",
     "result": "analysis criterion deferred dsp felt inference io literature model parameters progress recording schema"
     " setup sobol threads",
@@ -48,8 +50,8 @@ USES = {
     "report": "analysis dsp felt io modal_response model parameters result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
-    "batch": "analysis fitting io model parameters recording report schema",
-    "instrument": "analysis dsp felt io literature model parameters report schema",
+    "batch": "analysis fitting instrument io model parameters recording report schema threads",
+    "instrument": "analysis dsp felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp instrument io model playback report threads",

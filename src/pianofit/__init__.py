@@ -38,18 +38,9 @@ __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "lo
 __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
 # Instruments of 88 keys from fits, songs, and exports.
 __all__ += ["Instrument", "Key", "VelocityCurve", "find_fits", "load_keys", "load_extras"]
-__all__ += ["build_instrument", "load_instrument"]
-__all__ += [
-    "write_instrument",
-    "Song",
-    "load_song",
-    "Performance",
-    "PedalRange",
-    "PlayOptions",
-    "render_song",
-    "ExportOptions",
-    "ExportSummary",
-]
+__all__ += ["build_instrument", "load_instrument", "KeyPrior", "prior_of_key", "write_instrument"]
+__all__ += ["Song", "load_song", "PedalRange", "PlayOptions", "Performance", "render_song"]
+__all__ += ["ExportOptions", "ExportSummary"]
 __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
 # Libraries, and blind listening tests.
 __all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
@@ -83,9 +74,11 @@ if TYPE_CHECKING:
         load_extras,
         load_instrument,
         load_keys,
+        prior_of_key,
         write_instrument,
     )
     from .io.files import encode_wav, write_wav
+    from .key_prior import KeyPrior
     from .listening.result import count_answers
     from .listening.sounds import ListeningSummary, write_listening_test
     from .literature import Preset, preset, typical
@@ -118,6 +111,7 @@ _MODULES = {
         "load_extras",
         "load_instrument",
         "load_keys",
+        "prior_of_key",
         "write_instrument",
     ),
     "listening.result": ("count_answers",),
@@ -148,6 +142,7 @@ _MODULES = {
     "literature": ("Preset", "preset", "typical"),
     "recording.recording": ("Recording", "load_recording", "recording_from_samples"),
     "io.files": ("encode_wav", "write_wav"),
+    "key_prior": ("KeyPrior",),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
     "setup": ("Measured", "RecordingInfo", "Setup"),

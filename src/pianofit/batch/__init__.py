@@ -6,8 +6,18 @@ from .manifest import Key, Sample, read_keys
 from .process_pool import ProcessPool
 from .records import Entry, Status, status
 from .run import Progress, plan_jobs, run_batch
+from .second_pass import plan_joint_jobs, run_joint_batch
 
 __all__ = ["Key", "Sample", "read_keys"]
 __all__ += ["Settings", "Job", "make_job", "layout_remarks", "UnusedFile", "unused_files"]
-__all__ += ["ProcessPool", "DaskPool", "check_cluster", "Progress", "plan_jobs", "run_batch"]
+__all__ += [
+    "ProcessPool",
+    "DaskPool",
+    "check_cluster",
+    "Progress",
+    "plan_jobs",
+    "run_batch",
+    "plan_joint_jobs",
+    "run_joint_batch",
+]
 __all__ += ["Entry", "Status", "status"]

@@ -73,12 +73,14 @@ class Job:
     sources: tuple[Source, ...]
     settings: Settings
     versions: dict[str, str]
+    prior: str = ""  # table [prior] of a setup.toml, from the first fits of other keys
 
     @property
     def parts(self) -> dict[str, str]:
-        """Hashes of the inputs, the settings and the versions."""
+        """Hashes of the inputs, the settings and the versions, and of a prior."""
         inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.stroke, s.role) for s in self.sources]]
-        return {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
+        parts = {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
+        return parts | ({"prior": _hash(self.prior)} if self.prior else {})
 
     @property
     def hash(self) -> str:
@@ -88,7 +90,7 @@ class Job:
     @property
     def setup(self) -> str:
         """Text of its `setup.toml`; empty if no values are given."""
-        text = self.settings.setup
+        text = self.settings.setup + self.prior
         for s in (source for source in self.sources if source.role == "note"):
             given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke}
             if given := {name: value for name, value in given.items() if value not in (None, "")}:

@@ -39,6 +39,7 @@ class Progress:
     running: tuple[tuple[str, str], ...]  # running keys, and the stage of each
     seconds_left: float | None  # s; None before it can be estimated
     event: str = ""  # one line, or empty
+    part: str = ""  # name of the pass; empty if there is one
 
 
 Workers = ProcessPool | DaskPool
@@ -61,7 +62,9 @@ def _plan(job: Job, store: Store, retry_failed: bool) -> tuple[str, Entry]:
     record = store.record(job.key)
     if record is None:
         return "to do: new", fresh
-    changed = [name for name, digest in job.parts.items() if record.parts.get(name) != digest]
+    changed = [name for name in {**job.parts, **record.parts} if record.parts.get(name) != job.parts.get(name)]
+    if changed == ["prior"] and "prior" not in record.parts:
+        return "to do: second fit", fresh
     return f"to do: {' and '.join(changed) or 'something'} changed", fresh
 
 

@@ -108,6 +108,14 @@ def batch(
             help="With --scheduler: send the recordings, or let the workers read them from the same paths.",
         ),
     ] = "value",
+    joint: Annotated[
+        bool,
+        typer.Option(
+            "--joint",
+            help="Fit every key twice: alone, then with the prior that the fits of all other keys of its instrument "
+            "give. The first fits stay in DIR/alone.",
+        ),
+    ] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Fit keys again that failed before.")] = False,
     dry_run: Annotated[
         bool,
@@ -118,20 +126,30 @@ def batch(
     """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
         _check(workers, memory, time_limit, seed, channel)
-        from ..batch import check_cluster, layout_remarks, plan_jobs, read_keys, run_batch
+        from ..batch import (
+            check_cluster,
+            layout_remarks,
+            plan_jobs,
+            plan_joint_jobs,
+            read_keys,
+            run_batch,
+            run_joint_batch,
+        )
 
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        jobs = _jobs(manifest, keys, _settings(setup, channel, seed, page))
+        jobs = _jobs(manifest, keys, _settings(setup, channel, seed, page, joint))
         for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
-            _print_plan(manifest, jobs, plan_jobs(jobs, out, retry_failed), as_json)
+            plan = plan_joint_jobs if joint else plan_jobs
+            _print_plan(manifest, jobs, plan(jobs, out, retry_failed), as_json)
             return
         with _progress_printer() as progress:
             make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
-            result = run_batch(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
+            run = run_joint_batch if joint else run_batch
+            result = run(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
         print_result(asdict(result), _summary(result), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
@@ -155,16 +173,19 @@ def _check(workers: int | None, memory: float, time_limit: float, seed: int, cha
     check_channel(channel)
 
 
-def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:
+def _settings(setup: Path | None, channel: str, seed: int, page: bool, joint: bool) -> Settings:
     """Settings that all keys share. The setup is checked and included as text."""
     from ..batch import Settings
 
     text = ""
     if setup is not None:
-        if Setup.from_toml(setup).recordings:
+        given = Setup.from_toml(setup)
+        if given.recordings:
             raise SetupError(
                 f"{printable(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
             )
+        if joint and given.prior is not None:
+            raise SetupError(f"{printable(setup)}: has a [prior], which --joint computes for every key; remove one")
         text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
     return Settings(seed, channel, page, text)
 
@@ -203,7 +224,11 @@ def _line(p: Progress) -> str:
     failed = f", {p.failed} failed" if p.failed else ""
     running = f"; {_running_keys(p.running)}" if p.running else ""
     left = _format_time_left(p.total - p.done - p.failed, p.seconds_left)
-    return f"{p.done} of {counted(p.total, 'key')} done{failed}{left}{running}"
+    return f"{_part(p)}{p.done} of {counted(p.total, 'key')} done{failed}{left}{running}"
+
+
+def _part(p: Progress) -> str:
+    return f"{p.part}: " if p.part else ""
 
 
 def _format_time_left(keys: int, seconds: float | None) -> str:
@@ -237,7 +262,7 @@ def _progress_printer() -> Iterator[Callable[[Progress], None]]:
 
         def print_progress(p: Progress) -> None:
             if p.event:
-                console.print(p.event, markup=False)
+                console.print(_part(p) + p.event, markup=False)
             line.update(_line(p))
 
         yield print_progress
@@ -247,7 +272,7 @@ def _print_event(p: Progress) -> None:
     """Print a log line: number of finished keys, event and time left."""
     if p.event:
         left = f" ({_format_duration(p.seconds_left)} left)" if p.seconds_left and p.done + p.failed < p.total else ""
-        typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
+        typer.echo(f"{_part(p)}{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
 def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_json: bool) -> None:

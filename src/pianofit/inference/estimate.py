@@ -100,7 +100,8 @@ class InferenceResult:
         u, theta = self.problem.parametrisation, self.estimate.theta
         hammer = np.arange(u.size) < u.shared
         hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
-        fixed = replace(u, mean=np.where(hammer, self.initial_theta, u.mean), sd=np.where(hammer, 0.0, u.sd))
+        mean, sd = np.where(hammer, self.initial_theta, u.mean), np.where(hammer, 0.0, u.sd)
+        fixed = replace(u, mean=mean, sd=sd, joint=None)
         string = u.model_entries(theta)[:STRING_SIZE]
         objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), string)
         table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]

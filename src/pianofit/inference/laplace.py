@@ -201,7 +201,7 @@ def _nodes(
     objective: Objective, candidates: Candidates, i: int, along: np.ndarray, free: np.ndarray
 ) -> tuple[list[ExcessNodes], np.ndarray]:
     """Nodes of σ of every table at a minimum, and the precision of the prior [size, size]."""
-    prior = objective.prior(candidates.theta)[2]
+    prior = objective.prior(candidates.theta[i : i + 1])[2][0]
     points = [
         TablePoint(term.table, part.residual[i], part.jacobian[i], part.phi[i], part.w[i], candidates.theta[i], others)
         for term, part, others in zip(objective.terms, candidates.parts, HYPER, strict=True)

@@ -141,7 +141,7 @@ def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list
     def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
         """Random points in all parameters, widest along the ridge."""
         curvature = sum(part.derivatives.curvature[0] for part in best.parts)
-        precision = objective.prior(best.theta)[2] / REACH**2 + curvature / ALONG**2
+        precision = objective.prior(best.theta)[2][0] / REACH**2 + curvature / ALONG**2
         value, vector = np.linalg.eigh(precision[np.ix_(free, free)])
         theta = np.tile(best.theta, (RESTARTS, 1))
         theta[:, free] += random.normal(size=(RESTARTS, free.sum())) / np.sqrt(value) @ vector.T

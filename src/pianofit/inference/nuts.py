@@ -204,6 +204,7 @@ class DensityContext(NamedTuple):
     power: Any  # index of the force and of the exponent; None if a fit does not search a force
     reference_compression: Any  # m
     prior: tuple[Any, Any]  # mean and precision [size]
+    joint: tuple[Any, Any, Any] | None  # invariants, their mean [quantities] and precision, if other keys gave a prior
     tables: tuple[ObservationTable, ...]
     phi: tuple[Any, ...]
     w: tuple[Any, ...]
@@ -231,6 +232,7 @@ def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
         u.force_and_exponent_index,
         u.reference_compression,
         (u.mean, u.precision),
+        None if u.joint is None else (u.joint.invariants, u.joint.mean, u.joint.precision),
         tables,
         tuple(phi[0] for phi in best.phi),
         tuple(w[0] for w in best.w),
@@ -316,6 +318,10 @@ def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
     theta, ended, terms = _terms(at, point, cfg)
     mean, precision = at.prior
     F = 0.5 * (precision * (theta - mean) ** 2).sum()
+    if at.joint is not None:
+        invariants, centre, joint_precision = at.joint
+        deviation = invariants(theta, cfg.law, jnp) - centre
+        F = F + 0.5 * deviation @ joint_precision @ deviation
     for term in terms:
         F = F + objective(*term)
     return jnp.where(ended.all(), -F, -jnp.inf)

@@ -341,8 +341,12 @@ class Objective:
         return self.prior(candidates.theta)[2] + sum(part.derivatives.curvature for part in candidates.parts)
 
     def prior(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Part of F by the prior of θ: value [B], gradient [B, size] and curvature [size, size]."""
+        """Part of F by the prior of θ: value [B], gradient [B, size] and curvature [B, size, size]."""
         u = self.problem.parametrisation
         weight = np.where(self.free, u.precision, 0.0)
         deviation = theta - u.mean
-        return 0.5 * (weight * deviation**2).sum(axis=1), weight * deviation, np.diag(weight)
+        value, gradient = 0.5 * (weight * deviation**2).sum(axis=1), weight * deviation
+        if u.joint is None:
+            return value, gradient, np.broadcast_to(np.diag(weight), (len(theta), u.size, u.size))
+        of_keys = u.joint.evaluate(theta, u.law, self.free)
+        return value + of_keys[0], gradient + of_keys[1], np.diag(weight) + of_keys[2]

@@ -21,12 +21,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..parameters import STRING_NAMES, Geometry, String
+
+if TYPE_CHECKING:
+    from .joint_prior import JointPrior
 
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
@@ -40,7 +43,10 @@ def names_of(law: FeltLaw) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """Gaussian priors of the logarithms of all parameters, with bounds; [size] each."""
+    """Gaussian priors of the logarithms of all parameters, with bounds; [size] each.
+
+    With a joint prior, `mean` and `sd` are its centre and its standard deviations.
+    """
 
     mean: np.ndarray
     sd: np.ndarray  # 0: fixed at the mean
@@ -53,6 +59,7 @@ class Parametrisation:
     # Exponent g with which the value of every entry scales with every size [sizes, size].
     exponents: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     given: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # mask of the values that the user gave [size]
+    joint: JointPrior | None = None  # of the other keys; it replaces the own prior of some entries
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -105,8 +112,9 @@ class Parametrisation:
 
     @property
     def precision(self) -> np.ndarray:
-        """Precision of the prior; 0 for fixed parameters [size]."""
-        return np.where(self.free, 1 / np.where(self.free, self.sd, 1.0) ** 2, 0.0)
+        """Precision of each parameter's own prior; 0 if it is fixed, or has a joint prior instead [size]."""
+        own = self.free if self.joint is None else self.free & ~self.joint.replaced
+        return np.where(own, 1 / np.where(own, self.sd, 1.0) ** 2, 0.0)
 
     # --- coordinates: θ has the force, log values have K_H ------------------------------------------------------------
 

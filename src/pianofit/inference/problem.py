@@ -15,12 +15,14 @@ from ..errors import FitError
 from ..felt import ALL_PARAMETERS, FeltLaw
 from ..io.files import printable
 from ..io.number_format import counted
+from ..key_prior import KeyPrior
 from ..literature import reference_compression
 from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
 from ..setup import RecordingInfo, Setup, recording_info_for, relative_sd
 from . import priors
+from .joint_prior import with_key_prior
 from .observation_tables import KNOCK, Observations, RecordingStructure, observe
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
@@ -96,6 +98,11 @@ class FitProblem:
         return self.initial_values.scale is not None
 
     @property
+    def key_prior(self) -> KeyPrior | None:
+        """The prior of the other keys of a keyboard; None if the literature's is used."""
+        return None if self.parametrisation.joint is None else self.parametrisation.joint.record
+
+    @property
     def velocity_scale_free(self) -> bool:
         """True if one common scale of the velocities is free: neither the levels' unit nor a velocity is given."""
         return not self.calibrated and all(v is None for v in self.measured_velocity)
@@ -167,6 +174,9 @@ def build_problem(
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
     observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
+    if setup.prior is not None:
+        scale_free = start.scale is None and all(v is None for v in given)
+        unknowns = with_key_prior(unknowns, setup.prior, unknowns.shared + stroke if scale_free else None)
     observed = observed.with_velocities(unknowns.velocities.start + np.array(structure.stroke), unknowns.size)
     if not unknowns.free.any():
         raise FitError("nothing is left to fit: [fixed] fixes all parameters; remove those that the fit should find")

@@ -14,6 +14,7 @@ from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, load_extras, load_keys
 from .files import load_instrument, write_instrument
 from .instrument import Instrument, Key
+from .predicted_key import prior_of_key
 
 __all__ = [
     "Instrument",
@@ -25,5 +26,6 @@ __all__ = [
     "load_extras",
     "load_instrument",
     "load_keys",
+    "prior_of_key",
     "write_instrument",
 ]

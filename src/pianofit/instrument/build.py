@@ -84,7 +84,7 @@ def build_instrument(
     check_range("even=", even, 0.0, 1.0)
     if not keys:
         raise ParameterError("no fit was given; an instrument needs at least one fit.json")
-    reference = _reference(keys)
+    reference = reference_values(keys, KEYS.tolist())
     priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
     posterior = keyboard_posterior([key.measured for key in keys], reference, priors, KEYS.tolist())
     keys = [scale_key(key, math.exp(scale)) for key, scale in zip(keys, posterior.log_scale, strict=True)]
@@ -143,10 +143,10 @@ def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
     return VelocityCurve(math.exp(middle), max(float(rise), LEAST_RISE), "layers", layers)
 
 
-def _reference(keys: Sequence[KeyFit]) -> np.ndarray:
-    """Values of the literature on the scales of the laws [quantities, 88]; for the level the mean of the keys."""
+def reference_values(keys: Sequence[KeyFit], at: Sequence[int]) -> np.ndarray:
+    """Values of the literature on the scales of the laws [quantities, at]; for the level the mean of the keys."""
     level = float(np.mean([key.fitted.mean[NAMES.index("level")] for key in keys]))
-    rows = [literature(int(midi)) | {"level": level} for midi in KEYS]
+    rows = [literature(int(midi)) | {"level": level} for midi in at]
     return np.array([LAW_QUANTITIES[n].scaled([row[n] for row in rows]) for n in NAMES])
 
 

@@ -50,6 +50,7 @@ class KeyFit:
     measured: KeyMeasurements  # of the `LAW_QUANTITIES`, without the prior of the fit
     fitted: Measurement  # of the `LAW_QUANTITIES`, as the fit reports them
     summary: FitSummary
+    velocity: float | None  # of the loudest recording by its own fit, m/s; None if the scale of velocities is given
 
 
 def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
@@ -226,10 +227,11 @@ def _load_key(file: Path) -> KeyFit:
         layers=_layers(fit),
         partials=() if note.modal_response is None else partial_decays(note.modal_response),
     )
-    scale = LOUDEST_VELOCITY / float(velocities[-1]) if fit.velocity_scale_open else 1.0
+    own_velocity = float(velocities[-1]) if fit.velocity_scale_open else None
+    scale = LOUDEST_VELOCITY / own_velocity if own_velocity else 1.0
     note, summary = _scaled(note._replace(hammer=hammer, gain=gain, path=path), summary, scale)
     own = fit, note, midi, stroke_level(note)
-    return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary)
+    return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary, own_velocity)
 
 
 def scale_key(key: KeyFit, scale: float) -> KeyFit:

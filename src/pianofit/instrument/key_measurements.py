@@ -2,7 +2,8 @@
 
 The covariance of a fit is that of logarithms of parameters and velocities. All law quantities but the level are
 logarithms of products of powers of these, so their covariance is J C Jᵀ with a matrix J of exponents. The keyboard
-has its own prior, so that of the fit is removed before (`fit_prior`).
+has its own prior, so that of the fit is removed before (`fit_prior`): the literature's, or that of the other keys in a
+second pass.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..errors import FitError
 from ..felt import ALL_PARAMETERS
 from ..felt.soft_skin import SOFT_SKIN
+from ..key_prior import KeyPrior
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..schema.fit import Fit, Minimum
 from ..schema.quantities import Covariance
-from .fit_prior import prior_of, remove_prior
+from .fit_prior import FitPrior, prior_of, remove_prior
 from .key_quantities import (
     LAW_QUANTITIES,
     LOUDEST_VELOCITY,
@@ -40,6 +43,22 @@ LEVEL_STEP = 0.1
 CENTS = 1200 / math.log(2)
 # A variance below this is that of a given value.
 GIVEN = 1e-12
+# Relative difference of a compression that is rounding.
+ROUNDED = 1e-6
+# The parameter of a fit that each quantity of a prior belongs to.
+PRIOR_PARAMETER = {
+    "f0": "c",
+    "B": "kappa",
+    "b1": "b1",
+    "d2": "b2",
+    "M_H/M_S": "M_H",
+    "F/M_S": "K_H",
+    "local_exponent": "p",
+    "mu": "mu",
+    "skin": "skin",
+    "x0/L": "x0",
+    "width/L": "width",
+}
 
 
 def measurements_of(fit: Fit, note: Note, midi: int, level: float) -> KeyMeasurements:
@@ -81,10 +100,13 @@ def _default_variances() -> np.ndarray:
 
 def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
     """Return the note of a key with the parameters of one minimum, on the velocity scale of the instrument."""
-    loudest = int(np.argmax(minimum.velocities))
-    velocity = float(minimum.velocities[loudest])
-    scale = LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0
-    at = minimum.parameters
+    velocity = float(np.max(minimum.velocities))
+    return _scaled_note(note, minimum, LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0)
+
+
+def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:
+    """The note of one minimum, with the velocities of the fit times `scale`."""
+    velocity, at = float(np.max(minimum.velocities)), minimum.parameters
     hammer = soft_hammer(note.hammer)
     skin = at["skin"] * scale if "skin" in at else hammer.skin
     hammer = hammer._replace(
@@ -109,12 +131,40 @@ def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float
     names, matrix = minimum.covariance.names, _conditional(fit, minimum, minimum.covariance)
     exponents = _exponents(names, own, midi, float(own.hammer.v_H0) / float(np.max(minimum.velocities)))
     if without_prior:
-        removal = remove_prior(prior_of(fit, minimum, names), matrix)
+        of_keys = fit.prior and _joint_prior(fit, fit.prior, _scaled_note(note, minimum, 1.0), midi, minimum, names)
+        removal = remove_prior(of_keys or prior_of(fit, minimum, names), matrix)
         weight *= math.exp(removal.log_weight)
         mean, matrix = mean + exponents @ removal.shift, removal.covariance
     covariance = exponents @ matrix @ exponents.T * (1.0 if fit.converged else NONCONVERGED_FACTOR**2)
     given = np.diag(covariance) < GIVEN
     return Measurement(weight, mean, covariance + np.diag(np.where(given, variance, 0.0)))
+
+
+def _joint_prior(fit: Fit, prior: KeyPrior, own: Note, midi: int, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
+    """The prior that other keys gave to a fit, without quantities that the fit does not have or assumes.
+
+    Parameters
+    ----------
+    own : note of the minimum, on the velocity scale of the fit.
+    names : of the logarithms of the fit.
+    """
+    if not math.isclose(prior.compression, law_compression(midi), rel_tol=ROUNDED):
+        raise FitError(
+            f"prior.compression = {prior.compression:g} m must be {law_compression(midi):g} m for this key; fit again "
+            "with a prior that pianofit batch --joint wrote"
+        )
+    values = {**key_quantities(own, midi), "f0": float(own.f0)}
+    rows = _exponents(names, own, midi, 1.0)
+    kept = [i for i, name in enumerate(prior.names) if _is_fitted(fit, minimum, PRIOR_PARAMETER[name])]
+    laws = [list(LAW_QUANTITIES).index("cents" if prior.names[i] == "f0" else prior.names[i]) for i in kept]
+    unit = np.array([1 / CENTS if prior.names[i] == "f0" else 1.0 for i in kept])
+    away = np.array([math.log(values[prior.names[i]]) - prior.mean[i] for i in kept])
+    root = np.linalg.inv(np.linalg.cholesky(np.array(prior.covariance)[np.ix_(kept, kept)]))
+    return FitPrior(root @ (unit[:, None] * rows[laws]), root @ away)
+
+
+def _is_fitted(fit: Fit, minimum: Minimum, name: str) -> bool:
+    return name in minimum.parameters and fit.parameters[name].status != "assumed"
 
 
 def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarray:

@@ -116,6 +116,15 @@ class _Data(NamedTuple):
     noise: np.ndarray  # with the unknown scale [keys, quantities, quantities]
 
 
+class _Fitted(NamedTuple):
+    """The most probable model of some fits."""
+
+    data: _Data
+    model: _Model
+    system: _System
+    shares: list[np.ndarray]
+
+
 def keyboard_posterior(
     keys: Sequence[KeyMeasurements], literature: np.ndarray, priors: Sequence[Prior], at: Sequence[int]
 ) -> KeyboardPosterior:
@@ -128,18 +137,10 @@ def keyboard_posterior(
     priors : of each quantity.
     at : MIDI numbers of the keys at which the laws are evaluated, ascending; they contain the fitted ones.
     """
-    x, places = np.array([key.midi for key in keys], float), np.searchsorted(at, [key.midi for key in keys])
+    places = np.searchsorted(at, [key.midi for key in keys])
     reference = literature[:, places]
-    shares = [np.array([one.weight for one in key.minima]) / sum(one.weight for one in key.minima) for key in keys]
-    model = _Model(np.ones(reference.shape), [LawShape(*prior.medians) for prior in priors], priors)
-    for _ in range(ROUNDS):
-        data = _data(keys, shares, x, reference)
-        model = model._replace(shapes=_most_probable(data, model))
-        system = _solve(data, model)
-        model = model._replace(weights=_student_weights(system, model))
-        shares = [_shares(system, data, reference, i, key) for i, key in enumerate(keys)]
-    data = _data(keys, shares, x, reference)
-    system, everywhere = _solve(data, model), np.asarray(at, float)
+    fitted = _fit_model(keys, reference, priors)
+    data, model, system, everywhere = fitted.data, fitted.model, fitted.system, np.asarray(at, float)
     laws = [
         integrate(_observed(system, data, model, q), prior, model.shapes[q], everywhere)
         for q, prior in enumerate(priors)
@@ -156,8 +157,67 @@ def keyboard_posterior(
         shapes=tuple(model.shapes),
         scatter_sd=np.array([law.scatter_sd for law in laws]),
         log_scale=np.array(scale),
-        shares=tuple(shares),
+        shares=tuple(fitted.shares),
     )
+
+
+def _fit_model(keys: Sequence[KeyMeasurements], reference: np.ndarray, priors: Sequence[Prior]) -> _Fitted:
+    """Find shapes, weights and shares in turn; `reference` are values of the literature [quantities, keys]."""
+    x = np.array([key.midi for key in keys], float)
+    shares = [np.array([one.weight for one in key.minima]) / sum(one.weight for one in key.minima) for key in keys]
+    model = _Model(np.ones(reference.shape), [LawShape(*prior.medians) for prior in priors], priors)
+    for _ in range(ROUNDS):
+        data = _data(keys, shares, x, reference)
+        model = model._replace(shapes=_most_probable(data, model))
+        system = _solve(data, model)
+        model = model._replace(weights=_student_weights(system, model))
+        shares = [_shares(system, data, reference, i, key) for i, key in enumerate(keys)]
+    data = _data(keys, shares, x, reference)
+    return _Fitted(data, model, _solve(data, model), shares)
+
+
+def predict_key(
+    keys: Sequence[KeyMeasurements], literature: np.ndarray, priors: Sequence[Prior], midi: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict the quantities of one key from the fits of others, with the scatter of single keys.
+
+    The correlations are those at the most probable shapes. Means and standard deviations are means over all shapes.
+
+    Parameters
+    ----------
+    keys : measurements of the other keys, in ascending order.
+    literature : reference values on the scales of the laws of those keys, then of the predicted one [quantities, keys
+        + 1].
+    priors : of each quantity.
+    midi : number of the predicted key.
+
+    Returns
+    -------
+    Mean [quantities] and covariance [quantities, quantities] on the scales of the laws.
+    """
+    fitted = _fit_model(keys, literature[:, :-1], priors)
+    covariance = _prediction_covariance(fitted, float(midi))
+    at = sorted([*(key.midi for key in keys), midi])
+    everywhere, place = np.array(at, float), at.index(midi)
+    laws = [
+        integrate(_observed(fitted.system, fitted.data, fitted.model, q), prior, shape, everywhere)
+        for q, (prior, shape) in enumerate(zip(priors, fitted.model.shapes, strict=True))
+    ]
+    mean = literature[:, -1] + [law.law[place] for law in laws]
+    sd = np.hypot([law.law_sd[place] for law in laws], [law.scatter_sd for law in laws])
+    factor = sd / np.sqrt(np.diag(covariance))
+    return mean, covariance * np.outer(factor, factor)
+
+
+def _prediction_covariance(fitted: _Fitted, midi: float) -> np.ndarray:
+    """Covariance of the quantities of a key without a fit, at the most probable shapes [quantities, quantities]."""
+    at = np.array([midi])
+    shapes, priors = fitted.model.shapes, fitted.model.priors
+    pairs = list(zip(shapes, priors, strict=True))
+    cross = np.array([law_covariance(at, fitted.data.x, *pair)[0] for pair in pairs])
+    own = [law_covariance(at, at, *pair)[0, 0] + STUDENT / (STUDENT - 2) * pair[0].scatter ** 2 for pair in pairs]
+    covariance = np.diag(own) - np.einsum("qi,qirj,rj->qr", cross, fitted.system.blocks(fitted.data), cross)
+    return 0.5 * (covariance + covariance.T)
 
 
 def _data(keys, shares, x: np.ndarray, reference: np.ndarray) -> _Data:

@@ -77,6 +77,7 @@ def build_result(fit: InferenceResult) -> Result:
         criterion=reference.criterion,
         levels=levels,
         diagnostics=_diagnostics(fit),
+        prior=problem.key_prior,
         versions=package_versions(),
     )
     draws = None if fit.alternative is None or fit.alternative.draws is None else _draws(fit, record, fit.alternative)

@@ -23,19 +23,21 @@ from .statuses import (
 
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99
+KEYBOARD_PRIOR = " The prior of hammer and felt is the prediction from the other keys of the keyboard."
 
 
 def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors) -> str:
     """The opening sentences of a result."""
+    keyboard = KEYBOARD_PRIOR if fit.problem.key_prior is not None else ""
     if fit.problem.calibrated:
-        return _calibrated(fit, states)
+        return _calibrated(fit, states) + keyboard
     problem, law, compared = fit.problem, fit.problem.parametrisation.law, path_compared(fit)
     start = problem.initial_values
     hammer = "initial" if start.user_given or start.law.hammers is None else "literature"
     text = (
         f"{_uncalibrated(fit)} The rms error of the partial levels is {levels.initial_db:.1f} dB before the fit, "
         f"{levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
-        f"and {'output path' if problem.path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
+        f"and {'output path' if problem.path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB.{keyboard}"
     )
     if not compared:
         u = problem.parametrisation

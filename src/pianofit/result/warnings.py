@@ -78,7 +78,7 @@ def fit_warnings(
 
 
 def literature_warnings(fit: InferenceResult) -> list[str]:
-    """Warnings about hammer parameters that deviate from the literature's values for the key."""
+    """Warnings about hammer parameters that deviate from the literature's values for the key, or from other keys."""
     u, theta, lines = fit.problem.parametrisation, fit.estimate.theta, []
     for name in (*u.law.parameters, "M_H", "x0"):
         i = u.index_of(name)
@@ -90,10 +90,11 @@ def literature_warnings(fit: InferenceResult) -> list[str]:
         is_force = bool(u.force_and_exponent_index) and i == u.force_and_exponent_index[0]
         label = f"the felt force at {1e3 * u.reference_compression:.3g} mm" if is_force else name
         unit = "N" if is_force else unit_of(name, u.law)
+        source = "the literature" if u.joint is None else "the prediction from the other keys"
         low, value, high = np.exp([u.mean[i] - HALF_WIDTH_95 * u.sd[i], theta[i], u.mean[i] + HALF_WIDTH_95 * u.sd[i]])
         lines.append(
             f"{label} = {value:.3g}{f' {unit}' * (unit != '1')} deviates by {abs(deviations):.1f} standard deviations "
-            f"from the literature, which has {low:.3g} to {high:.3g} (95 %) for this key. Check the setup, and compare "
+            f"from {source}, which has {low:.3g} to {high:.3g} (95 %) for this key. Check the setup, and compare "
             "other layers."
         )
     return lines

@@ -22,6 +22,7 @@ from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
 from ..io.files import path_name, printable, replace_paths, short_repr
+from ..key_prior import KeyPrior
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from .decode import Number, convert, load_json
 from .derived import Derived
@@ -29,7 +30,7 @@ from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
 
-FIT_SCHEMA = 6
+FIT_SCHEMA = 7
 # Kinds of the files that hold a note.
 KINDS = ("fit", "note")
 # Largest fit.json, bytes.
@@ -249,6 +250,7 @@ class Fit(NoteFile):
     criterion: Criterion  # of the reference recording
     levels: LevelErrors  # of all recordings
     diagnostics: Diagnostics
+    prior: KeyPrior | None = None  # of the other keys of the keyboard; None if the literature's was used
     draws: DrawsFile | None = None
     versions: dict[str, str] = field(default_factory=dict)
     kind: str = "fit"

@@ -20,6 +20,7 @@ from ..errors import ParameterError, SetupError, check_type
 from ..felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
 from ..io.files import path_name, printable, read_text
 from ..io.number_format import filled
+from ..key_prior import KeyPrior
 from ..parameters import Parameter
 from .contradictions import contradictions
 from .measured import MOST_RELATIVE_SD, Measured, relative_sd
@@ -75,6 +76,7 @@ class RecordingInfo:
 KEYS: dict[str, tuple[str, ...]] = {
     **{table: tuple(key for other, key in SETUP_KEYS.values() if other == table) for table, _ in SETUP_KEYS.values()},
     **dict.fromkeys(("fixed", "initial", "bounds"), tuple(ALL_PARAMETERS)),
+    "prior": tuple(entry.name for entry in fields(KeyPrior)),
     "recording": tuple(entry.name for entry in fields(RecordingInfo)),
 }
 
@@ -104,6 +106,7 @@ class Setup:
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
     felt: str | FeltLaw | None = None  # a name in `felt.LAWS`, or your own law
+    prior: KeyPrior | None = None  # of the other keys of the keyboard, in place of the literature's
 
     def __repr__(self) -> str:
         return filled(self)
@@ -115,6 +118,8 @@ class Setup:
                 checked[name] = _given(getattr(self, name), key, *RANGES[key], f"[{table}]")
         _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
         _check_law(self.felt)
+        if self.prior is not None:
+            checked["prior"] = _key_prior(self.prior)
         boxes = ALL_PARAMETERS | self.law.hammer_parameters
         for name, check in (("fixed", _given_parameter), ("initial", _parameter_value), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
@@ -220,7 +225,7 @@ class Setup:
             given = {
                 name: checked[table][key] for name, (table, key) in SETUP_KEYS.items() if key in checked.get(table, ())
             }
-            given |= {name: checked[name] for name in ("fixed", "initial", "bounds") if name in checked}
+            given |= {name: checked[name] for name in ("fixed", "initial", "bounds", "prior") if name in checked}
             return cls(**given, recordings=tuple(checked.get("recording", ())))
         except SetupError as error:
             raise SetupError(f"{where}: {error}") from None
@@ -354,6 +359,18 @@ def _bounds(pair: object, key: str, where: str, box: Parameter) -> tuple[float, 
     if lower >= upper:
         raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [fixed]")
     return lower, upper
+
+
+def _key_prior(prior: object) -> KeyPrior:
+    if isinstance(prior, KeyPrior):
+        return prior
+    table = _table("prior", prior)
+    if missing := [key for key in KEYS["prior"] if key not in table]:
+        raise SetupError(f"[prior] needs {', '.join(missing)} too; give the table that pianofit batch --joint wrote")
+    try:
+        return KeyPrior(**table)
+    except ParameterError as error:
+        raise SetupError(f"[prior] {error}") from None
 
 
 def _recording_info(entry: object, number: int) -> RecordingInfo:

@@ -1,0 +1,102 @@
+"""The prior of a key's fit, from the fits of all other keys of its keyboard.
+
+A second pass over a keyboard fits each key again with this prior in place of the literature's. The key's own first fit
+takes no part in it, so no recording counts twice.
+
+An instrument plays the loudest recording of every uncalibrated key at `LOUDEST_VELOCITY`. The scale of all velocities
+together is unknown. The first fits placed it where the literature has it, at the mean of their own velocities, and the
+prior is stated on that scale. Only the deviation of single keys from the common scale is left open.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..analysis.note_names import midi_to_note
+from ..conversions import hertz_of
+from ..errors import ParameterError
+from ..key_prior import PRIOR_QUANTITIES, KeyPrior
+from .build import reference_values
+from .collect_fits import KeyFit
+from .key_measurements import CENTS
+from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression, skin_share
+from .keyboard_posterior import VELOCITY_SCALE_SD, predict_key
+
+NAMES = tuple(LAW_QUANTITIES)
+# Imaginary step of a derivative that is exact to rounding.
+IMAGINARY = 1e-30
+
+
+def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
+    """Predict one key from the fits of all others.
+
+    Parameters
+    ----------
+    keys : fits of an instrument, as `load_keys` returns them. The fit of the key itself is left out.
+    midi : MIDI number of the key.
+
+    Returns
+    -------
+    A `KeyPrior` for `Setup.prior`: logarithms of invariants, with their joint covariance.
+
+    Raises
+    ------
+    ParameterError
+        Without a fit of another key.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import pianofit
+    >>> keys = pianofit.load_keys(pianofit.find_fits([Path("batch")], "cp80"))
+    >>> pianofit.prior_of_key(keys, 62).names[:2]
+    ('f0', 'B')
+    """
+    others = [key for key in keys if key.midi != midi]
+    if not others:
+        raise ParameterError(f"keys= has no fit of another key than {midi_to_note(midi)}; give at least one")
+    literature = reference_values(others, [*(key.midi for key in others), midi])
+    priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
+    mean, covariance = predict_key([key.measured for key in others], literature, priors, midi)
+    velocities = [key.velocity for key in others if key.velocity is not None]
+    # A given velocity sets the scale of all.
+    velocity = math.exp(np.log(velocities).mean()) if len(velocities) == len(others) else LOUDEST_VELOCITY
+    return _record(*_with_scale(mean, covariance, midi, velocity / LOUDEST_VELOCITY), midi, velocity)
+
+
+def _with_scale(mean: np.ndarray, covariance: np.ndarray, midi: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """A prediction if all velocities are multiplied by `scale`."""
+    steps = 1j * IMAGINARY * np.eye(len(mean))
+    jacobian = np.imag([_at_scale(mean + step, midi, scale) for step in steps]).T / IMAGINARY
+    return _at_scale(mean, midi, scale), jacobian @ covariance @ jacobian.T
+
+
+def _at_scale(mean: np.ndarray, midi: int, scale: float) -> np.ndarray:
+    """Quantities on the scales of their laws if all velocities are multiplied by `scale`; the sound stays the same."""
+    at, u = dict(zip(NAMES, mean, strict=True)), law_compression(midi)
+    skin = np.exp(at["skin"])
+    p = np.exp(at["local_exponent"]) / (1 + skin_share(u, skin))
+    # F = K scale^(1-p) (u²/(u + scale skin))^p
+    at["F/M_S"] = at["F/M_S"] + (1 - p) * math.log(scale) + p * np.log((u + skin) / (u + scale * skin))
+    at["local_exponent"] = np.log(p * (1 + skin_share(u, scale * skin)))
+    at["mu"], at["skin"] = at["mu"] - math.log(scale), at["skin"] + math.log(scale)
+    return np.array([at[name] for name in NAMES])
+
+
+def _record(mean: np.ndarray, covariance: np.ndarray, midi: int, velocity: float) -> KeyPrior:
+    """The record of a prediction. The pitch relative to equal temperament becomes log f0, Hz."""
+    slope = np.array([1 / CENTS if name == "cents" else 1.0 for name in NAMES])
+    offset = np.array([math.log(hertz_of(midi)) if name == "cents" else 0.0 for name in NAMES])
+    places = [NAMES.index("cents" if name == "f0" else name) for name in PRIOR_QUANTITIES]
+    logs, matrix = offset + slope * mean, covariance * np.outer(slope, slope)
+    return KeyPrior(
+        PRIOR_QUANTITIES,
+        tuple(logs[places].tolist()),
+        tuple(map(tuple, matrix[np.ix_(places, places)].tolist())),
+        law_compression(midi),
+        velocity,
+        VELOCITY_SCALE_SD,
+    )

@@ -1,0 +1,116 @@
+"""The prior of a key's fit that the other keys of a keyboard give: one Gaussian over the logarithms of quantities.
+
+Without it, the prior of a fit is the literature's (`inference.priors`). `instrument.predicted_key` makes this record
+from the fits of all other keys, `Setup.prior` hands it to a fit, and `fit.json` keeps it. All quantities are
+invariants, so they do not depend on an assumed length or mass.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from .errors import ParameterError, check_range, check_type
+
+# Quantities that a prior can have; F/M_S is in N/kg, d2 is b2 π²/L², 1/s.
+PRIOR_QUANTITIES = (
+    "f0",
+    "B",
+    "b1",
+    "d2",
+    "M_H/M_S",
+    "F/M_S",
+    "local_exponent",
+    "mu",
+    "skin",
+    "x0/L",
+    "width/L",
+)
+# Range of the compression, m, and of the velocity, m/s.
+COMPRESSIONS = (1e-7, 1e-1)
+VELOCITIES = (1e-2, 20.0)
+# Largest standard deviation of a logarithm: wider priors contain no information.
+WIDEST = 30.0
+# Largest difference of two correlations that must be equal: numbers in files are rounded.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class KeyPrior:
+    """Means and joint covariance of the logarithms of some quantities of a key, in SI units.
+
+    Parameters
+    ----------
+    names : some of `PRIOR_QUANTITIES`.
+    mean : logarithms [quantities].
+    covariance : of the logarithms [quantities, quantities].
+    compression : compression, m, at which `F/M_S` and `local_exponent` are stated.
+    velocity, velocity_sd : velocity of the loudest stroke, m/s, and standard deviation of its logarithm. A fit uses
+        them if neither a velocity nor the scale of its levels was given.
+
+    Raises
+    ------
+    ParameterError
+        If a name is unknown or given twice, if sizes differ, if the covariance is not positive definite, and for a
+        compression or velocity out of range.
+
+    Examples
+    --------
+    >>> from pianofit.key_prior import KeyPrior
+    >>> KeyPrior(("M_H/M_S",), (-0.7,), ((0.04,),), 4e-4, 4.0, 0.25).names
+    ('M_H/M_S',)
+    """
+
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    compression: float
+    velocity: float
+    velocity_sd: float
+
+    def __post_init__(self) -> None:
+        check_type("prior names=", self.names, list | tuple, "a list of names")
+        unknown = [name for name in self.names if name not in PRIOR_QUANTITIES]
+        if unknown or not self.names or len({*self.names}) < len(self.names):
+            raise ParameterError(f"prior names={self.names!r} must be different ones of {', '.join(PRIOR_QUANTITIES)}")
+        size = len(self.names)
+        mean, covariance = _numbers("mean", self.mean, (size,)), _numbers("covariance", self.covariance, (size, size))
+        if not _positive_definite(covariance):
+            raise ParameterError("prior covariance= must be symmetric and positive definite; correct it")
+        check_range("prior compression=", self.compression, *COMPRESSIONS, " m")
+        check_range("prior velocity=", self.velocity, *VELOCITIES, " m/s")
+        check_range("prior velocity_sd=", self.velocity_sd, 1e-6, WIDEST)
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "mean", tuple(mean.tolist()))
+        object.__setattr__(self, "covariance", tuple(map(tuple, covariance.tolist())))
+
+    def to_toml(self) -> str:
+        """Return the table `[prior]` of a `setup.toml`."""
+        return "\n[prior]\n" + "".join(f"{name} = {json.dumps(value)}\n" for name, value in asdict(self).items())
+
+
+def _numbers(name: str, values: object, shape: tuple[int, ...]) -> np.ndarray:
+    """Return finite numbers as an array of this shape."""
+    try:
+        array = np.array(values, float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ParameterError(f"prior {name}= must be {' by '.join(map(str, shape))} finite numbers, one for each name")
+    return array
+
+
+def _positive_definite(matrix: np.ndarray) -> bool:
+    variance = np.diag(matrix)
+    if not ((variance > 0) & (variance <= WIDEST**2)).all():
+        return False
+    correlation = matrix / np.sqrt(np.outer(variance, variance))
+    if np.abs(correlation - correlation.T).max() > ROUNDING:
+        return False
+    try:
+        np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        return False
+    return True
