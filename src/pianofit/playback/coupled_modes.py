@@ -104,13 +104,17 @@ class CoupledModes:
         mode it gives the amplitude of that mode. The response to any force is this times the transform of the force at
         the pole.
         """
-        q, target = self.pole[source][:, None], self.pole[None]
-        taper = np.maximum(1 - np.abs(np.imag(q) - np.imag(target)) / TAPER, 0.0)
-        weight = (self.drive[source] * strength)[:, None] * (1 - taper)
-        mirrored = (self.drive[source] * np.conj(strength))[:, None] * (1 - taper)
-        distance = target - q
-        distance[taper == 1] = 1.0  # these have no part in it
-        total = (weight / distance + mirrored / (target - np.conj(q))).sum(axis=0)
+        q, target = self.pole[source], self.pole
+        weight = self.drive[source] * strength
+        # w/(s - q) + w*/(s - q*) = (2 Re w s - 2 Re w q*)/(s² - 2 Re q s + |q|²)
+        factor, constant = 2 * np.real(weight), -2 * np.real(weight * np.conj(q))
+        below = target**2 - 2 * np.real(q)[:, None] * target + (np.abs(q) ** 2)[:, None]
+        below[below == 0] = 1.0  # equal poles, which have no part in it
+        inverse = 1 / below
+        for row, omega in zip(inverse, np.imag(q), strict=True):
+            near = slice(*np.searchsorted(np.imag(target), [omega - TAPER, omega + TAPER]))
+            row[near] *= np.abs(np.imag(target[near]) - omega) / TAPER
+        total = target * (factor @ inverse) + constant @ inverse
         total[source] = 0.0
         return -self.common * self.drive * total
 
