@@ -11,7 +11,7 @@ the added motion on the contact with the hammer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,17 +41,33 @@ class Stroke(NamedTuple):
     force: ForcePulse
 
 
-class Contact(NamedTuple):
-    """Contact of the damper of a key from a sample on, 0 to 1."""
+def hop_samples(rate: int) -> tuple[int, int]:
+    """Return the samples of a hop, and how many of them are one sample of the added sound."""
+    ratio = max(int(rate / (RATE_RATIO * HIGHEST)), 1)
+    return max(round(HOP_SECONDS * rate / ratio), 1) * ratio, ratio
 
-    sample: int
-    contact: float
+
+def hop_count(samples: int, rate: int) -> int:
+    """Return the number of hops of a sound of so many samples, with one for its end."""
+    return -(-samples // hop_samples(rate)[0]) + 1
+
+
+def mean_contact(contacts: Sequence[tuple[int, float]], hops: int, rate: int) -> np.ndarray:
+    """Return the mean contact of a damper in each hop, 0 to 1 [hops].
+
+    `contacts` has the samples at which the contact changes, and its values. Before the first it is 1.
+    """
+    sample, contact = np.array([(-1, 1.0), *contacts]).T
+    edges = np.arange(hops + 1) * hop_samples(rate)[0]
+    sums = np.concatenate([[0.0], np.cumsum(np.diff(sample) * contact[:-1])])
+    i = np.searchsorted(sample, edges, side="right") - 1
+    return np.diff(sums[i] + (edges - sample[i]) * contact[i]) / hop_samples(rate)[0]
 
 
 def render_resonance(
     instrument: Instrument,
     strokes: Sequence[Stroke],
-    contacts: Mapping[int, Sequence[Contact]],
+    contact: np.ndarray,
     rate: int,
     samples: int,
     common: float = 1.0,
@@ -63,19 +79,20 @@ def render_resonance(
     ----------
     instrument : all its keys take part.
     strokes : of all keys.
-    contacts : movements of the damper by MIDI key; before the first a damper rests on its string. Keys without a damper
-        are always free.
+    contact : contact of the dampers in each hop, by `mean_contact`, for the keys in ascending order [keys, hops]. Keys
+        without a damper are always free.
     rate : sample rate, Hz.
     samples : length.
     common : as for `CoupledModes`.
     progress : called with the finished fraction.
     """
     free = FreeStrings(instrument, rate, common)
-    ratio = max(int(rate / (RATE_RATIO * HIGHEST)), 1)
-    reduced = max(round(HOP_SECONDS * rate / ratio), 1)  # samples of a hop at the reduced rate
-    hop = reduced * ratio
-    hops = -(-samples // hop) + 1
-    player = _Player(free, strokes, contacts, hop, rate)
+    contact[[not free.damping[modes].any() for modes in free.modes.values()]] = 0.0
+    if not (np.count_nonzero(contact < 1, axis=0) > 1).any():  # no two strings are ever free
+        return np.zeros((len(free.sound), samples))
+    hop, ratio = hop_samples(rate)
+    reduced, hops = hop // ratio, contact.shape[1]
+    player = _Player(free, strokes, contact, hop, rate)
     window = _hop_window(free.pole, reduced, rate / ratio)
     out = np.zeros((len(free.sound), (hops + 1) * reduced))
     for first in range(0, hops, CHUNK_HOPS):
@@ -100,7 +117,7 @@ class _Player:
         self,
         free: FreeStrings,
         strokes: Sequence[Stroke],
-        contacts: Mapping[int, Sequence[Contact]],
+        contact: np.ndarray,
         hop: int,
         rate: int,
     ) -> None:
@@ -109,17 +126,14 @@ class _Player:
         self.at = 0  # next stroke
         self.alone = np.zeros(len(free.pole), complex)
         self.added = np.zeros(len(free.pole), complex)
-        self.contacts = [
-            _Contacts(contacts.get(midi, ()), bool(free.damping[free.modes[midi]].any())) for midi in free.keys
-        ]
-        self.contact = np.full(len(free.keys), -1.0)
+        self.contacts, self.contact = contact, np.full(len(free.keys), -1.0)
         self.lift = self.half = np.zeros(0)
         self.free_half = np.exp(0.5 * hop / rate * free.pole)
 
     def advance(self, first: int, count: int) -> np.ndarray | None:
         """Added amplitudes at `count` hops from `first` on, complex [hops, modes]; None if all are silent."""
         edges = np.arange(first, first + count + 1) * self.hop
-        contact = np.stack([np.diff(own.integral(edges)) / self.hop for own in self.contacts], axis=1)
+        contact = np.ascontiguousarray(self.contacts[:, first : first + count].T, float)
         found, is_silent = np.zeros((count, len(self.added)), complex), True
         for i in range(count):
             if np.abs(self.added * self.free.sound).max(initial=0.0) > SILENCE:
@@ -159,22 +173,6 @@ class _Player:
         struck = np.zeros(len(self.alone), complex)
         struck[own] = self.alone[own] - before
         self.added -= since * free.coupled.exchange(struck, self.lift)
-
-
-class _Contacts:
-    """The contact of one damper over time."""
-
-    def __init__(self, contacts: Sequence[Contact], has_damper: bool) -> None:
-        at = [Contact(-1, 1.0 if has_damper else 0.0), *(contacts if has_damper else ())]
-        self.sample = np.array([x.sample for x in at], float)
-        self.contact = np.array([x.contact for x in at])
-        steps = np.diff(self.sample) * self.contact[:-1]
-        self.sum = np.concatenate([[0.0], np.cumsum(steps)])
-
-    def integral(self, sample: np.ndarray) -> np.ndarray:
-        """Integral of the contact from before the first sample to these samples."""
-        i = np.searchsorted(self.sample, sample, side="right") - 1
-        return self.sum[i] + (sample - self.sample[i]) * self.contact[i]
 
 
 def _hop_window(pole: np.ndarray, reduced: int, rate: float) -> np.ndarray:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..conversions import hertz_of
 from ..errors import ParameterError, check_range
 from ..instrument import Instrument
 from ..io.audio import RATES
@@ -21,7 +20,7 @@ from ..model.note import MAX_SAMPLES
 from ..threads import one_blas_thread
 from .midi import Song
 from .pedals import KeyMotion, PedalRange, key_motions, releases
-from .resonance import SILENCE, Contact, Stroke, render_resonance
+from .resonance import SILENCE, Stroke, hop_count, mean_contact, render_resonance
 from .voice import StringVoice
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
@@ -58,9 +57,8 @@ class PlayOptions(NamedTuple):
     Parameters
     ----------
     pedal_range : values of controller 64 for half pedal.
-    resonance : how much free strings sound when others excite them, from 0 (not at all) to 1: as if all strings stood
-    at
-        one point of the bridge.
+    resonance : how much free strings sound when others excite them, from 0 (not at all) to 1 (as if all strings stood
+        at one point of the bridge).
     noise : whether to add the noise floor of the recordings.
     seed : seed of the noise floor.
 
@@ -132,25 +130,30 @@ def render_song(
         instrument.note(key, 64)  # reject a missing key before the computation starts
     if options.noise and instrument.noise is None:
         raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
-    keys = _played(instrument, song, options.pedal_range.check(), rate)
+    pedal_range, end = options.pedal_range.check(), song.seconds + LAST_HELD
+    unplayed = _events(key_motions(song, -1, pedal_range, end), rate)
+    contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)), np.float32)
     total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
-    for key in sorted(song.keys):
+    for row, key in zip(contact, sorted(instrument.keys), strict=True):
+        events = _events(key_motions(song, key, pedal_range, end), rate) if key in song.keys else unplayed
+        row[:] = mean_contact([(e.sample, e.contact) for e in events], len(row), rate)
+        if key not in song.keys:
+            continue
         string = StringVoice(instrument.note(key, 64), key, rate, instrument.dampers)
-        for at, sound, struck in _phrases(string, instrument, keys[key], size):
+        for at, sound, struck in _phrases(string, instrument, events, size):
             begin = at + lead - string.lead
             sound = string.through_path(sound)[:, : size - begin]
-            end = begin + sound.shape[-1]
-            total[:, begin:end] += sound  # a single channel is added to all
-            last = max(last, end)
+            stop = begin + sound.shape[-1]
+            total[:, begin:stop] += sound  # a single channel is added to all
+            last = max(last, stop)
             strokes += [stroke for stroke, _ in struck]
             hits += [was_moving for _, was_moving in struck]
             progress("playing", (0.7 if options.resonance else 0.98) * len(hits) / song.notes)
-    if options.resonance and strokes and _meet(keys, instrument):
-        contacts = {key: [Contact(event.sample, event.contact) for event in events] for key, events in keys.items()}
+    if options.resonance and strokes:
         added = render_resonance(
             instrument,
             strokes,
-            contacts,
+            contact,
             rate,
             size - lead,
             options.resonance,
@@ -176,29 +179,8 @@ class _Event(NamedTuple):
     soft: float
 
 
-def _played(instrument: Instrument, song: Song, pedal_range: PedalRange, rate: int) -> dict[int, list[_Event]]:
-    """Strokes of every key of the instrument and movements of its damper, in time order."""
-    end = song.seconds + LAST_HELD
-
-    def events(motions: list[KeyMotion]) -> list[_Event]:
-        return [_Event(round(m.seconds * rate), m.velocity, m.contact, m.soft) for m in motions]
-
-    return {key: events(key_motions(song, key, pedal_range, end)) for key in sorted(instrument.keys)}
-
-
-def _meet(keys: dict[int, list[_Event]], instrument: Instrument) -> bool:
-    """Return whether the dampers of two keys are ever lifted at the same time."""
-    changes: list[tuple[int, int]] = []
-    for key, events in keys.items():
-        has_damper = instrument.dampers.rates(key, np.array([hertz_of(key)])).any()
-        lifted = [(event.sample, event.contact < 1) for event in events] if has_damper else [(0, True)]
-        before = False
-        for sample, is_lifted in lifted:
-            if is_lifted != before:
-                changes.append((sample, 1 if is_lifted else -1))
-            before = is_lifted
-    count = np.cumsum([change for _, change in sorted(changes)])
-    return bool(count.max(initial=0) > 1)
+def _events(motions: list[KeyMotion], rate: int) -> list[_Event]:
+    return [_Event(round(m.seconds * rate), m.velocity, m.contact, m.soft) for m in motions]
 
 
 def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: int, lead: int) -> int:
