@@ -54,7 +54,7 @@ USES = {
     "instrument": "analysis dsp felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io literature model parameters threads",
-    "export": "analysis dsp instrument io model playback report threads",
+    "export": "analysis dsp instrument io model playback report schema threads",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"
     " parameters playback progress recording report result schema setup synthetic threads web",

@@ -141,3 +141,30 @@ def test_random_controllers_end_in_silence():
 def test_releases_know_how_long_a_key_was_down():
     song = Song({60: [(0.0, 80), (0.5, 90), (1.5, 0), (2.0, 0), (3.0, 10), (3.25, 0)]}, (), 4.0, 3)
     assert releases(song, 60) == [(1.5, 1.5), (3.25, 0.25)]
+
+
+def test_tempo_moves_everything_alike():
+    song = Song({60: [(1.0, 80), (2.0, 0)]}, [(0.5, 127), (3.0, 0)], 4.0, 1, sostenuto=[(1.5, 64)],
+                release_velocities={(60, 2.0): 30})  # fmt: skip
+    fast = song.at_tempo(2.0)
+    assert fast.keys == {60: [(0.5, 80), (1.0, 0)]}
+    assert (fast.pedal, fast.sostenuto, fast.seconds) == ([(0.25, 127), (1.5, 0)], [(0.75, 64)], 2.0)
+    assert fast.release_velocities == {(60, 1.0): 30}
+    assert fast.at_tempo(0.5)._replace(una_corda=()) == song
+
+
+def test_touch_keeps_ends_and_order():
+    velocities = list(range(128))
+    song = Song({60: [(float(v), v) for v in velocities]}, (), 128.0, 127)
+    for exponent in (0.5, 2.0):
+        touched = [v for _, v in song.with_touch(exponent).keys[60]]
+        assert touched == sorted(touched)
+        assert (touched[0], min(touched[1:]), touched[-1]) == (0, max(round(127 * (1 / 127) ** exponent), 1), 127)
+        assert (touched[64] > 64) == (exponent < 1)
+
+
+def test_gain_is_before_the_limiter():
+    soft, loud = (sound(PlayOptions(resonance=0.0, gain_db=x)) for x in (-6.0, 0.0))
+    assert soft == pytest.approx(10 ** (-6 / 20) * loud, abs=1e-12)
+    with pytest.raises(ParameterError, match="tempo=0"):
+        sound(PlayOptions(tempo=0.0))

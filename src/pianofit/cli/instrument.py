@@ -19,7 +19,7 @@ from ..io.files import (
 )
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import RATE, Built, Even, Force, Json, Prefix, Sound, text
+from .options import RATE, Built, Even, Force, Json, Prefix, real, text
 from .terminal import print_result
 
 PAGE = "piano.html"
@@ -57,10 +57,13 @@ def instrument(
 def play(
     built: Built,
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
-    out: Sound,
+    out: Annotated[Path, text("FILE.WAV|FLAC", "WAV or FLAC file to write.")],
     prefix: Prefix = None,
     even: Even = 0.0,
     rate: Annotated[int, RATE] = 48_000,
+    gain: Annotated[float, real("DB", "Gain before the limiter, dB.")] = 0.0,
+    tempo: Annotated[float, real("FACTOR", "Speed over that of the file.")] = 1.0,
+    touch: Annotated[float, real("EXPONENT", "Exponent of the MIDI velocities: below 1 louder, above 1 softer.")] = 1.0,
     pedal_range: Annotated[
         tuple[float, float],
         typer.Option(
@@ -82,14 +85,14 @@ def play(
     from ..playback import PedalRange, PlayOptions, load_song, render_song
 
     with progress_bar() as bar:
-        check_sound_target(out, force)
+        check_sound_target(out, force, ("wav", "flac"))
         loaded, notes = load_instrument(built, prefix, even), load_song(song)
         enable_program_cache()
         start = time.perf_counter()
-        options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed)
+        options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed, gain, tempo, touch)
         rendered = render_song(loaded, notes, rate, bar, options)
         elapsed = time.perf_counter() - start
-    write_file(out, encode_pcm(rendered.samples, rate), force)
+    write_file(out, encode_pcm(rendered.samples, rate, out.suffix[1:].lower()), force)
     seconds = rendered.samples.shape[-1] / rate
     info = {
         "file": str(out),

@@ -181,10 +181,13 @@ def check_target(path: Path, force: bool) -> None:
         )
 
 
-def check_sound_target(path: Path, force: bool) -> None:
-    """`check_target` for a sound. Its name must end in .wav."""
-    if path.suffix.lower() != ".wav":
-        raise OutputError(f"{printable(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
+def check_sound_target(path: Path, force: bool, kinds: tuple[str, ...] = ("wav",)) -> None:
+    """`check_target` for a sound. Its name must end in one of the `kinds`."""
+    if path.suffix.lower().removeprefix(".") not in kinds:
+        names, ends = " or ".join(kind.upper() for kind in kinds), " or ".join(f".{kind}" for kind in kinds)
+        raise OutputError(
+            f"{printable(path)}: sounds are written as {names} files; give --out a name that ends in {ends}"
+        )
     check_target(path, force)
 
 

@@ -49,6 +49,32 @@ class Song(NamedTuple):
     # Release velocities, 0 to 127, by key and time, where the file states them.
     release_velocities: Mapping[tuple[int, float], int] = MappingProxyType({})
 
+    def at_tempo(self, factor: float) -> Song:
+        """Return the song `factor` times as fast."""
+        if factor == 1:
+            return self
+
+        def moved(events: Sequence[tuple[float, int]]) -> list[tuple[float, int]]:
+            return [(t / factor, value) for t, value in events]
+
+        return self._replace(
+            keys={key: moved(events) for key, events in self.keys.items()},
+            pedal=moved(self.pedal),
+            sostenuto=moved(self.sostenuto),
+            una_corda=moved(self.una_corda),
+            seconds=self.seconds / factor,
+            release_velocities={(key, t / factor): value for (key, t), value in self.release_velocities.items()},
+        )
+
+    def with_touch(self, exponent: float) -> Song:
+        """Return the song with MIDI velocities v as 127 (v/127)^exponent: below 1 louder, above 1 softer."""
+
+        def touched(velocity: int) -> int:
+            return max(round(127 * (velocity / 127) ** exponent), 1) if velocity else 0
+
+        keys = {key: [(t, touched(velocity)) for t, velocity in events] for key, events in self.keys.items()}
+        return self if exponent == 1 else self._replace(keys=keys)
+
 
 def load_song(path: str | os.PathLike[str]) -> Song:
     """Read a standard MIDI file of at most 100,000 notes and 30 min.

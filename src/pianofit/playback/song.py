@@ -61,6 +61,9 @@ class PlayOptions(NamedTuple):
         at one point of the bridge).
     noise : whether to add the noise floor of the recordings.
     seed : seed of the noise floor.
+    gain_db : gain before the limiter, dB.
+    tempo : speed of the song over that of the file.
+    touch : exponent of the MIDI velocities, see `Song.with_touch`.
 
     Examples
     --------
@@ -73,6 +76,18 @@ class PlayOptions(NamedTuple):
     resonance: float = RESONANCE
     noise: bool = False
     seed: int = 0
+    gain_db: float = 0.0
+    tempo: float = 1.0
+    touch: float = 1.0
+
+    def check(self) -> PlayOptions:
+        """Return the options, or raise a `ParameterError` for one out of range."""
+        check_range("resonance=", self.resonance, 0.0, 1.0)
+        check_range("gain_db=", self.gain_db, -60.0, 60.0, " dB")
+        check_range("tempo=", self.tempo, 0.1, 10.0)
+        check_range("touch=", self.touch, 0.2, 5.0)
+        self.pedal_range.check()
+        return self
 
 
 AS_RECORDED = PlayOptions()
@@ -96,7 +111,7 @@ def render_song(
     song : as `load_song` returns it.
     rate : sample rate, Hz.
     progress : called with the name of the step and the finished fraction.
-    options : half pedal, resonance and noise; see `PlayOptions`.
+    options : pedals, resonance, noise, gain, tempo and touch; see `PlayOptions`.
 
     Returns
     -------
@@ -105,7 +120,7 @@ def render_song(
     Raises
     ------
     ParameterError
-        For a rate or pedal range out of range, a song that is too long, a key that the instrument lacks, or a noise
+        For a rate or an option out of range, a song that is too long, a key that the instrument lacks, or a noise
         floor that it lacks.
     FitError
         If a hammer stays on its string.
@@ -118,7 +133,7 @@ def render_song(
     (1, 4)
     """
     check_range("rate=", rate, *RATES, " Hz")
-    check_range("resonance=", options.resonance, 0.0, 1.0)
+    song = song.at_tempo(options.check().tempo).with_touch(options.touch)
     lead = round(instrument.pre_onset_s * rate)
     size = int((song.seconds + LAST_RING) * rate) + lead
     if size > MAX_SAMPLES:
@@ -130,7 +145,7 @@ def render_song(
         instrument.note(key, 64)  # reject a missing key before the computation starts
     if options.noise and instrument.noise is None:
         raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
-    pedal_range, end = options.pedal_range.check(), song.seconds + LAST_HELD
+    pedal_range, end = options.pedal_range, song.seconds + LAST_HELD
     unplayed = _events(key_motions(song, -1, pedal_range, end), rate)
     contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)), np.float32)
     total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
@@ -166,7 +181,7 @@ def render_song(
         total[:, :last] += instrument.noise.sound(last, rate, options.seed)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
-    samples, gain_db, limited_db = limit(total[:, :last], rate)
+    samples, gain_db, limited_db = limit(10 ** (options.gain_db / 20) * total[:, :last], rate)
     return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 
 
