@@ -173,6 +173,13 @@ def test_pedals_catch_what_still_rings_and_nothing_clicks(player):
     assert high.max() < 1e-3 * np.abs(middle).max()
 
 
+def test_keys_without_a_damper_are_transposed_from_such_keys(tmp_path):
+    write_faust(tmp_path / "a.dsp", true_instrument(), [60, 90, 93])
+    text = (tmp_path / "a.dsp").read_text()
+    row = [int(x) for x in re.findall(r"row_of_key = waveform\{([\d,]*)", text)[0].split(",")]
+    assert [row[key] for key in (59, 74, 76, 89, 90, 91, 92, 93, 108)] == [0, 0, 1, 1, 1, 2, 2, 2, 2]
+
+
 def test_voices_add_and_other_keys_are_transposed(player):
     alone = [player([(key, 80, 0.2, 0.9)], 1.0) for key in (OWN, LAW)]
     both = player([(OWN, 80, 0.2, 0.9), (LAW, 80, 0.2, 0.9)], 1.0)

@@ -19,6 +19,7 @@ from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler, parse_keys
 from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
+from pianofit.instrument.dampers import LAST_DAMPER
 from pianofit.instrument.key_quantities import LOUDEST_VELOCITY
 from pianofit.model.modes import mode_frequencies
 from pianofit.result.comparison import fractional_lag
@@ -263,6 +264,14 @@ def test_spans_do_not_meet(keys):
     spans = key_ranges(chosen)
     assert all(low <= key <= high for key, (low, high) in zip(chosen, spans, strict=True))
     assert all(a[1] < b[0] for a, b in pairwise(spans))
+
+
+def test_keys_with_and_without_a_damper_have_samples_of_their_own():
+    for text in ("every 2", "every 3", "every 5", "every 7"):
+        keys = parse_keys(text)
+        spans = dict(zip(keys, key_ranges(keys), strict=True))
+        assert all((midi <= LAST_DAMPER) == (high <= LAST_DAMPER) for midi, (_, high) in spans.items())
+        assert all((midi <= LAST_DAMPER) == (low <= LAST_DAMPER) for midi, (low, _) in spans.items())
 
 
 def test_every_third_key_leaves_no_key_out():

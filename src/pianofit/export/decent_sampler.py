@@ -2,8 +2,8 @@
 
 The format has no crossfades, but a table can modulate the volume of a group by velocity, so every sample is a group.
 
-What the format holds of pedals: a release time for each sample, so the slope of a damper over frequency is lost. Half
-pedal and sostenuto are not documented. Groups are chosen by a pedal at the stroke (`loCC67`, `loCC64`), so a pedal that
+A sample has one release time, so the slope of a damper over frequency is lost. Half pedal and sostenuto are not
+documented. Groups are chosen by a pedal at the stroke (`loCC67`, `loCC64`), so a pedal that
 is pressed later adds no resonance. A release group (`trigger`) plays the noise of a key that is let go. Release
 velocity is not documented, and `releaseTriggerDecay` can only reduce a level with the sounding time.
 """

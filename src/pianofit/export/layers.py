@@ -25,6 +25,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import AnalysisError, ParameterError
+from ..instrument.dampers import LAST_DAMPER
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
@@ -120,7 +121,10 @@ def parse_keys(text: str) -> list[int]:
 
 
 def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
-    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends."""
+    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends.
+
+    If possible, keys with and without a damper are not played by one sampled key.
+    """
     gaps = [b - a for a, b in pairwise(keys)]
     below = [gaps[0] if gaps else 1, *gaps]
     above = [*gaps, gaps[-1] if gaps else 1]
@@ -128,6 +132,10 @@ def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
     for key, down, up in zip(keys, below, above, strict=True):
         low, high = key - min((down - 1) // 2, LARGEST_TRANSPOSITION), key + min(up // 2, LARGEST_TRANSPOSITION)
         spans.append((max(low, LOWEST_KEY), min(high, HIGHEST_KEY)))
+    for i, (a, b) in enumerate(pairwise(keys)):
+        in_reach = max(LAST_DAMPER - a, b - LAST_DAMPER - 1) <= LARGEST_TRANSPOSITION
+        if a <= LAST_DAMPER < b and in_reach:
+            spans[i], spans[i + 1] = (spans[i][0], LAST_DAMPER), (LAST_DAMPER + 1, spans[i + 1][1])
     return spans
 
 

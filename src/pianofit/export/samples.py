@@ -1,6 +1,6 @@
 """The samples of a key: the sound of each stroke, its first sample, and the level of the key over velocity.
 
-A resonance sample is what the free strings add to one stroke with the right pedal down, as `pianofit play` computes it.
+A resonance sample is the sound that free strings add to one stroke with the right pedal down, as in `pianofit play`.
 The motion of free strings follows the force of the hammer, so its level over velocity is that of the stroke.
 """
 
@@ -82,7 +82,7 @@ def render_sample(
 def render_resonance_sample(
     instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float
 ) -> np.ndarray:
-    """What the free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
+    """Sound that free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
     string.reset()
     head = string.strike(instrument.note(string.midi, velocity).hammer.v_H0)
     stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)

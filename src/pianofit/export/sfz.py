@@ -1,6 +1,6 @@
 """Text of an SFZ file. A key is a group, and a layer is a region with its own gain over velocity.
 
-What the format holds of pedals was read in the documentation at https://sfzformat.com and in the source of sfizz:
+Dampers and pedals use these opcodes, documented at https://sfzformat.com and checked in the source of sfizz:
 
 - `ampeg_release` is one time for all partials, so the slope of a damper over frequency is lost.
 - `sustain_lo` makes the right pedal a switch where the dampers no longer touch the strings. Below it, `ampeg_release`

@@ -13,15 +13,15 @@ import numpy as np
 from ...conversions import hertz_of
 from ...errors import ParameterError
 from ...instrument import Instrument
+from ...instrument.dampers import LAST_DAMPER, Dampers
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
 from ...playback.midi import SWITCH
 from ...playback.pedals import PedalRange
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice
 from ...report.html import asset
-from ...schema.dampers import Dampers
 from ...threads import one_blas_thread
-from ..layers import LOUDEST
+from ..layers import LARGEST_TRANSPOSITION, LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
 
@@ -158,8 +158,10 @@ def _damper_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], dampers
 
 def _key_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], channels: int, gain: float) -> Iterator[str]:
     """Definitions of all tables except the knocks. Rows of keys are concatenated, with the offset of each row."""
-    nearest = [int(np.argmin(np.abs(np.array(keys) - midi))) for midi in range(128)]
-    yield _table("row_of_key", nearest)
+    # A key without damper is transposed from another one if possible, and a key with damper likewise.
+    sampled, midi = np.array(keys), np.arange(128)[:, None]
+    other_side = (sampled <= LAST_DAMPER) != (midi <= LAST_DAMPER)
+    yield _table("row_of_key", np.argmin(np.abs(sampled - midi) + LARGEST_TRANSPOSITION * other_side, axis=1))
     yield _table("key_of_row", keys)
     count = [len(key.pole) for key in key_tables]
     yield _table("mode_count", count)
