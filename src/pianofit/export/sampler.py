@@ -155,7 +155,11 @@ def export_sampler(
 def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions, to: str) -> None:
     if options.blend not in SAMPLERS[to].blends:
         raise ParameterError(f"blend={options.blend!r} must be one of {', '.join(SAMPLERS[to].blends)} for {to}")
-    check_range("layers=", options.layers, 1 if options.blend == "curves" else 2, LOUDEST)
+    check_range("layers=", options.layers, 1, LOUDEST)
+    if options.blend != "curves" and options.layers == 1:
+        raise ParameterError(
+            f"layers=1 with blend={options.blend!r} has one level only; give 2 or more layers, or blend=curves"
+        )
     check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
     check_range("seconds=", options.seconds, 0.1, 120)
     if options.kind not in KINDS:
