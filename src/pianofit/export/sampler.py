@@ -230,14 +230,9 @@ def _write_samples(
     progress: Callable[[str, float], None],
 ) -> tuple[ExportSummary, SamplerContent]:
     """Write all samples with one gain."""
-    measured: list[list[KeySamples]] = []  # without and, if it is sampled, with the left pedal
+    measured = []
     for i, key in enumerate(keys):
-        string = StringVoice(instrument.note(key, 64), key, options.rate)
-        velocities = layer_velocities(options.layers)
-        pedals = (0.0, 1.0) if options.una_corda else (0.0,)
-        measured.append(
-            [measure_layers(instrument, string, velocities, options.seconds, options.blend, soft) for soft in pedals]
-        )
+        measured.append(_measure(instrument, key, options))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
     noises = [] if instrument.release is None else [*_noises(instrument.release, options.rate).values()]
     peak = max([key.peak for pair in measured for key in pair] + [float(np.abs(x).max(initial=0.0)) for x in noises])
@@ -246,7 +241,6 @@ def _write_samples(
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
         sampled_keys.append(_write_key(instrument, writer, key, span, pair))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
-    silent = silent_keys(sampled_keys)
     played = sorted({midi for key in sampled_keys for midi in range(key.low, key.high + 1)})
     releases = [] if instrument.release is None else _write_releases(instrument.release, writer, played)
     summary = ExportSummary(
@@ -257,9 +251,16 @@ def _write_samples(
         seconds=writer.frames / options.rate,
         bytes=writer.bytes,
         gain_db=20 * math.log10(writer.gain),
-        silent_keys=silent,
+        silent_keys=silent_keys(sampled_keys),
     )
     return summary, SamplerContent(title, sampled_keys, releases, options.blend)
+
+
+def _measure(instrument: Instrument, midi: int, options: ExportOptions) -> list[KeySamples]:
+    """Measure the layers of a key without and, if it is sampled, with the left pedal."""
+    string, velocities = StringVoice(instrument.note(midi, 64), midi, options.rate), layer_velocities(options.layers)
+    pedals = (0.0, 1.0) if options.una_corda else (0.0,)
+    return [measure_layers(instrument, string, velocities, options.seconds, options.blend, soft) for soft in pedals]
 
 
 def _write_key(
