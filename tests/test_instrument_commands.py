@@ -149,9 +149,18 @@ def test_a_sampler_is_exported(built, tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert "2 keys sampled, 1 of them a guess (never recorded); 6 transposed from them" in done.output
-    assert "4 samples, 1 s" in done.output
-    assert len(list((tmp_path / "sampler" / "samples").iterdir())) == 4
+    assert len(list((tmp_path / "sampler" / "samples").iterdir())) == 2 * (2 + 1)
     assert (tmp_path / "sampler" / "twin.sfz").is_file()
+
+
+def test_the_options_of_pedals_choose_samples(built, tmp_path):
+    asked = ("--velocity-layers", 2, "--keys", "F#3", "--seconds", 0.1)
+    run("export", built, "--out", tmp_path / "more", *asked, "--una-corda", "--velocity-blend", "xfade")
+    names = sorted(file.stem for file in (tmp_path / "more" / "samples").iterdir())
+    endings = ["resonance", "v001", "v001-soft", "v127", "v127-soft"]
+    assert [name.split("-", 2)[2] for name in names] == endings
+    run("export", built, "--out", tmp_path / "fewer", *asked, "--no-resonance")
+    assert len(list((tmp_path / "fewer" / "samples").iterdir())) == 2
 
 
 def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
@@ -168,6 +177,7 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     (("export", "@", "--out", "x.mp3"), "x.mp3: is called like a file; give --out the name of a folder"),
     (("export", "@", "--out", "x", "--keys", "H4"), "'H4'"),
     (("export", "@", "--out", "x", "--velocity-layers", "0"), "layers=0 must be from 1 to 127"),
+    (("export", "@", "--out", "x", "--velocity-blend", "xfade", "--velocity-layers", "1"), "layers=1 with blend"),
     (("export", "none.json", "--out", "x"), "none.json: no such file"),
     (("play", "@", "none.mid", "--out", "x.wav"), "none.mid: no such file"),
     (("play", "@", "melody.mid", "--out", "none/x.wav"), "does not exist"),

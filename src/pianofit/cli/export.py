@@ -20,7 +20,12 @@ if TYPE_CHECKING:
     from ..export.faust import FaustSummary
 
 # Options whose names differ from those of `ExportOptions`.
-OPTION_NAMES = {"layers": "--velocity-layers", "kind": "--samples"}
+OPTION_NAMES = {
+    "layers": "--velocity-layers",
+    "kind": "--samples",
+    "blend": "--velocity-blend",
+    "una_corda": "--una-corda",
+}
 
 
 def export(
@@ -34,6 +39,15 @@ def export(
     ] = "every 3",
     licence: Annotated[str | None, text("WORDS", "Licence of the recordings, for the exported files.")] = None,
     velocity_layers: Annotated[int | None, integer("N", "Velocity layers of a sampler; default 8.")] = None,
+    velocity_blend: Annotated[
+        str | None, text("curves|xfade|plain", "How neighbouring layers meet over velocity; default curves.")
+    ] = None,
+    resonance: Annotated[
+        bool | None, typer.Option(help="Sample the free strings under the right pedal; default yes.")
+    ] = None,
+    una_corda: Annotated[
+        bool | None, typer.Option("--una-corda", help="Sample the left pedal too, which doubles the samples.")
+    ] = None,
     samples: Annotated[str | None, text("flac|wav", "Format of the samples, 24 bit. Default: by --format.")] = None,
     seconds: Annotated[float | None, real("S", "Longest sample in seconds; default 8.")] = None,
     rate: Annotated[int | None, integer("HZ", "Sample rate of a sampler in Hz; default 48000.", "--rate")] = None,
@@ -51,6 +65,7 @@ def export(
     from ..model.program_cache import enable_program_cache
 
     options = {"layers": velocity_layers, "seconds": seconds, "rate": rate, "kind": samples}
+    options |= {"blend": velocity_blend, "resonance": resonance, "una_corda": una_corda}
     given = {name: value for name, value in options.items() if value is not None}
     if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")

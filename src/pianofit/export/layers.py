@@ -7,6 +7,9 @@ the model at the played velocity v, with t rising from 0 to 1:
 
 Two strokes on one string have the same modes, so that time-aligned layers add in amplitude and not in power. The
 remaining difference is described by their correlation, from which the level of the sum is computed in advance.
+
+Programs that convert sampler files reduce such curves to a power law. `xfade` therefore leaves the crossfade to the
+player: (1 - t) a + t b, which every program with crossfades knows. `plain` plays one layer at its own level.
 """
 
 from __future__ import annotations
@@ -22,9 +25,12 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import AnalysisError, ParameterError
+from ..instrument.dampers import LAST_DAMPER
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
+# How layers meet: curves of gain over velocity, crossfades of the player, or one layer at each velocity.
+BLENDS = ("curves", "xfade", "plain")
 # No sample is transposed further than this, semitones.
 LARGEST_TRANSPOSITION = 6
 
@@ -39,15 +45,40 @@ class Zone(NamedTuple):
     sample_gain: float  # of the sample itself; above 1 where a crossfade needs it louder than its stroke
 
 
+class Sample(NamedTuple):
+    """A written sample and the velocities at which it sounds."""
+
+    zone: Zone
+    file: str  # relative to the folder of the sampler
+
+
 class SampledKey(NamedTuple):
     """One sampled key, with the range of keys that it plays."""
 
     midi: int
     low: int  # range of keys that it plays
     high: int
-    damper: float  # decay rate that the damper adds, 1/s; 0 without damper
-    zones: Sequence[Zone]
-    files: Sequence[str]  # of each zone, relative to the folder of the sampler
+    damper: float  # decay rate that the damper adds at the fundamental, 1/s; 0 without damper
+    strokes: Sequence[Sample]
+    soft: Sequence[Sample] = ()  # strokes with the left pedal down, if they were sampled
+    resonance: Sample | None = None  # what free strings add to a stroke with the right pedal down
+
+
+class ReleaseSample(NamedTuple):
+    """The noise of one key that is let go, at the release velocity of the recordings."""
+
+    midi: int
+    file: str
+    gain_db: float
+
+
+class SamplerContent(NamedTuple):
+    """All that the text of a sampler refers to."""
+
+    title: str
+    keys: Sequence[SampledKey]
+    releases: Sequence[ReleaseSample]
+    blend: str  # one of `BLENDS`
 
 
 def parse_keys(text: str) -> list[int]:
@@ -90,7 +121,10 @@ def parse_keys(text: str) -> list[int]:
 
 
 def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
-    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends."""
+    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends.
+
+    If possible, keys with and without a damper are not played by one sampled key.
+    """
     gaps = [b - a for a, b in pairwise(keys)]
     below = [gaps[0] if gaps else 1, *gaps]
     above = [*gaps, gaps[-1] if gaps else 1]
@@ -98,6 +132,10 @@ def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
     for key, down, up in zip(keys, below, above, strict=True):
         low, high = key - min((down - 1) // 2, LARGEST_TRANSPOSITION), key + min(up // 2, LARGEST_TRANSPOSITION)
         spans.append((max(low, LOWEST_KEY), min(high, HIGHEST_KEY)))
+    for i, (a, b) in enumerate(pairwise(keys)):
+        in_reach = max(LAST_DAMPER - a, b - LAST_DAMPER - 1) <= LARGEST_TRANSPOSITION
+        if a <= LAST_DAMPER < b and in_reach:
+            spans[i], spans[i + 1] = (spans[i][0], LAST_DAMPER), (LAST_DAMPER + 1, spans[i + 1][1])
     return spans
 
 
@@ -131,6 +169,23 @@ def format_keys(keys: Sequence[int]) -> str:
 def layer_velocities(count: int) -> list[int]:
     """MIDI velocities of `count` layers, from softest to loudest. A single layer is the loudest."""
     return [int(v) for v in np.round(np.linspace(SOFTEST, LOUDEST, count))] if count > 1 else [LOUDEST]
+
+
+def blend_layers(
+    blend: str, velocities: Sequence[int], level_db: np.ndarray, correlation: Sequence[float]
+) -> list[Zone]:
+    """Zones of the layers of a key, blended as `blend` says; see `crossfade_layers` for the other parameters."""
+    if blend == "curves":
+        return crossfade_layers(velocities, level_db, correlation)
+    edges = [SOFTEST - 1, *velocities, LOUDEST + 1]
+    halves = [(a + b) // 2 for a, b in pairwise(velocities)]
+    zones = []
+    for i, struck in enumerate(velocities):
+        low, high = edges[i] + 1, edges[i + 2] - 1
+        if blend == "plain":
+            low, high = [SOFTEST, *(half + 1 for half in halves)][i], [*halves, LOUDEST][i]
+        zones.append(Zone(struck, low, high, np.ones(high - low + 1), 1.0))
+    return zones
 
 
 def crossfade_layers(velocities: Sequence[int], level_db: np.ndarray, correlation: Sequence[float]) -> list[Zone]:

@@ -17,22 +17,32 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
+from ..conversions import DB, hertz_of
 from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
-from ..instrument.dampers import damper_rate
+from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
-from ..playback.voice import StringVoice
+from ..playback.voice import CHANNELS, StringVoice
 from ..threads import one_blas_thread
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
-from .layers import LOUDEST, SampledKey, key_ranges, layer_velocities, silent_keys
-from .samples import measure_layers, render_sample
+from .layers import (
+    LOUDEST,
+    ReleaseSample,
+    Sample,
+    SampledKey,
+    SamplerContent,
+    key_ranges,
+    layer_velocities,
+    silent_keys,
+)
+from .samples import KeySamples, measure_layers, render_resonance_sample, render_sample
 
 # Audio formats of samples.
 KINDS = ("flac", "wav")
 README = "README.txt"
-# File names of samples: key, note, velocity.
-SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
+# File names of samples: key, note, and velocity or kind.
+SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-(v\d{3}(-soft)?|resonance|release)\.(flac|wav)")
 HIGHEST_RATE = 192_000  # Hz, limit of most samplers
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together, about 5 GB
 # Share of the measurement of levels in the progress of an export.
@@ -59,6 +69,9 @@ class ExportOptions(NamedTuple):
     seconds: float = 8.0  # largest length of a sample
     rate: int = 48_000  # Hz
     kind: str = "flac"
+    blend: str = "curves"  # of layers over velocity: curves, xfade or plain
+    resonance: bool = True  # a sample of the free strings for each key
+    una_corda: bool = False  # layers with the left pedal down
 
 
 @one_blas_thread()
@@ -93,7 +106,8 @@ def export_sampler(
     Raises
     ------
     ParameterError
-        For layers, seconds, rate or kind out of range, or a key that the instrument lacks.
+        For layers, seconds, rate or kind out of range, a blend that the format lacks, or a key that the instrument
+        lacks.
     OutputError
         If `out` cannot be written, exists and is not an export, or is an export and `force` is not set.
 
@@ -103,11 +117,11 @@ def export_sampler(
     >>> import pianofit
     >>> piano, options = pianofit.load_instrument("batch", prefix="cp80"), pianofit.ExportOptions(2, seconds=0.2)
     >>> pianofit.export_sampler(piano, Path("sampler"), [60, 64], options).samples
-    4
+    6
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
-    _check(instrument, keys, options)
+    _check(instrument, keys, options, to)
     try:
         out = out.resolve()
         _check_target(out, force)
@@ -123,10 +137,11 @@ def export_sampler(
         with cleanup_on_interrupt(clean_up):
             try:
                 (work / "samples").mkdir(parents=True)
-                summary, sampled_keys = _write_samples(instrument, work, keys, options, progress)
-                file = _file_name(instrument.name) + SAMPLERS[to].ending
-                (work / file).write_text(SAMPLERS[to].text(Path(file).stem, sampled_keys), encoding="utf-8")
-                (work / README).write_text(readme_text(instrument, file, sampled_keys, licence), encoding="utf-8")
+                title = _file_name(instrument.name)
+                file = title + SAMPLERS[to].ending
+                summary, content = _write_samples(instrument, work, title, keys, options, progress)
+                (work / file).write_text(SAMPLERS[to].text(content), encoding="utf-8")
+                (work / README).write_text(readme_text(instrument, file, content, licence), encoding="utf-8")
                 if out.exists():
                     out.rename(old)
                 work.rename(out)
@@ -137,15 +152,22 @@ def export_sampler(
     return summary
 
 
-def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions) -> None:
+def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions, to: str) -> None:
+    if options.blend not in SAMPLERS[to].blends:
+        raise ParameterError(f"blend={options.blend!r} must be one of {', '.join(SAMPLERS[to].blends)} for {to}")
     check_range("layers=", options.layers, 1, LOUDEST)
+    if options.blend != "curves" and options.layers == 1:
+        raise ParameterError(
+            f"layers=1 with blend={options.blend!r} has one level only; give 2 or more layers, or blend=curves"
+        )
     check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
     check_range("seconds=", options.seconds, 0.1, 120)
     if options.kind not in KINDS:
         raise ParameterError(f"samples={options.kind!r} must be one of {', '.join(KINDS)}")
-    if len(keys) * options.layers * options.seconds > MOST_SAMPLE_SECONDS:
+    samples = options.layers * (1 + options.una_corda) + options.resonance
+    if len(keys) * samples * options.seconds > MOST_SAMPLE_SECONDS:
         raise ParameterError(
-            f"{len(keys)} keys × {options.layers} layers × {options.seconds:g} s "
+            f"{len(keys)} keys × {samples} samples × {options.seconds:g} s "
             f"are more than {MOST_SAMPLE_SECONDS:,.0f} s; ask for fewer --layers, --keys or --seconds"
         )
     if not keys:
@@ -181,45 +203,115 @@ def _is_export(folder: Path) -> bool:
     )
 
 
+class _Writer:
+    """Writes samples with one gain, and counts them."""
+
+    def __init__(self, work: Path, gain: float, options: ExportOptions) -> None:
+        self.work, self.gain, self.options = work, gain, options
+        self.samples, self.frames, self.bytes = 0, 0, 0
+
+    def write(self, midi: int, ending: str, sound: np.ndarray) -> str:
+        """Write a sound [channels, samples] and return its file, relative to the folder."""
+        name = midi_to_note(midi).replace("#", "s")  # SFZ reads "#" as the start of a directive
+        file = f"samples/{midi:03}-{name}-{ending}.{self.options.kind}"
+        content = encode_pcm(np.clip(self.gain * sound, -1.0, 1.0), self.options.rate, self.options.kind)
+        self.bytes += (self.work / file).write_bytes(content)
+        self.samples += 1
+        self.frames += sound.shape[-1]
+        return file
+
+
 def _write_samples(
     instrument: Instrument,
     work: Path,
+    title: str,
     keys: Sequence[int],
     options: ExportOptions,
     progress: Callable[[str, float], None],
-) -> tuple[ExportSummary, list[SampledKey]]:
+) -> tuple[ExportSummary, SamplerContent]:
     """Write all samples with one gain."""
-    _, seconds, rate, kind = options
     measured = []
     for i, key in enumerate(keys):
-        string = StringVoice(instrument.note(key, 64), key, rate)
-        measured.append(measure_layers(instrument, string, layer_velocities(options.layers), seconds))
+        measured.append(_measure(instrument, key, options))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
-    peak = max(key.peak for key in measured)
-    gain = PEAK_LIMIT / peak if peak > 0 else 1.0
-    sampled_keys, frames, size = [], 0, 0
-    for i, (key, (low, high), layers) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
-        string, files = StringVoice(instrument.note(key, 64), key, rate), []
-        name = midi_to_note(key).replace("#", "s")  # SFZ reads "#" as the start of a directive
-        for zone, begin in zip(layers.zones, layers.begin, strict=True):
-            sound = render_sample(instrument, string, zone.velocity, begin, seconds)
-            sound = np.clip(gain * zone.sample_gain * sound, -1.0, 1.0)
-            files.append(f"samples/{key:03}-{name}-v{zone.velocity:03}.{kind}")
-            size += (work / files[-1]).write_bytes(encode_pcm(sound, rate, kind))
-            frames += sound.shape[-1]
-        sampled_keys.append(SampledKey(key, low, high, damper_rate(key), layers.zones, files))
+    noises = [] if instrument.release is None else [*_noises(instrument.release, options.rate).values()]
+    peak = max([key.peak for pair in measured for key in pair] + [float(np.abs(x).max(initial=0.0)) for x in noises])
+    writer = _Writer(work, PEAK_LIMIT / peak if peak > 0 else 1.0, options)
+    sampled_keys = []
+    for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
+        sampled_keys.append(_write_key(instrument, writer, key, span, pair))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
+    played = sorted({midi for key in sampled_keys for midi in range(key.low, key.high + 1)})
+    releases = [] if instrument.release is None else _write_releases(instrument.release, writer, played)
     summary = ExportSummary(
         keys=len(keys),
         unrecorded=len(instrument.unrecorded(keys)),
         transposed=sum(key.high - key.low for key in sampled_keys),
-        samples=len(keys) * options.layers,
-        seconds=frames / rate,
-        bytes=size,
-        gain_db=20 * math.log10(gain),
+        samples=writer.samples,
+        seconds=writer.frames / options.rate,
+        bytes=writer.bytes,
+        gain_db=20 * math.log10(writer.gain),
         silent_keys=silent_keys(sampled_keys),
     )
-    return summary, sampled_keys
+    return summary, SamplerContent(title, sampled_keys, releases, options.blend)
+
+
+def _measure(instrument: Instrument, midi: int, options: ExportOptions) -> list[KeySamples]:
+    """Measure the layers of a key without and, if it is sampled, with the left pedal."""
+    string, velocities = StringVoice(instrument.note(midi, 64), midi, options.rate), layer_velocities(options.layers)
+    pedals = (0.0, 1.0) if options.una_corda else (0.0,)
+    return [measure_layers(instrument, string, velocities, options.seconds, options.blend, soft) for soft in pedals]
+
+
+def _write_key(
+    instrument: Instrument, writer: _Writer, midi: int, span: tuple[int, int], measured: Sequence[KeySamples]
+) -> SampledKey:
+    """Write the samples of a key: strokes without and with the left pedal, and the resonance."""
+    string = StringVoice(instrument.note(midi, 64), midi, writer.options.rate)
+    strokes = [_write_strokes(instrument, writer, string, layers, float(i)) for i, layers in enumerate(measured)]
+    damper = float(instrument.dampers.rates(midi, np.array([hertz_of(midi)]))[0])
+    resonance = _write_resonance(instrument, writer, string, measured[0]) if writer.options.resonance else None
+    return SampledKey(midi, *span, damper, strokes[0], strokes[1] if len(strokes) > 1 else (), resonance)
+
+
+def _write_strokes(
+    instrument: Instrument, writer: _Writer, string: StringVoice, layers: KeySamples, soft: float
+) -> list[Sample]:
+    """Write the layers of a key at a position of the left pedal, 0 or 1."""
+    samples = []
+    for zone, begin in zip(layers.zones, layers.begin, strict=True):
+        sound = render_sample(instrument, string, zone.velocity, begin, writer.options.seconds, soft)
+        ending = f"v{zone.velocity:03}" + ("-soft" if soft else "")
+        samples.append(Sample(zone, writer.write(string.midi, ending, zone.sample_gain * sound)))
+    return samples
+
+
+def _write_resonance(instrument: Instrument, writer: _Writer, string: StringVoice, layers: KeySamples) -> Sample | None:
+    """Write what free strings add to the middle layer of a key, or nothing if they are silent."""
+    zone, begin = layers.whole, layers.begin[len(layers.begin) // 2]
+    sound = render_resonance_sample(instrument, string, zone.velocity, begin, writer.options.seconds)
+    if not np.abs(sound).max(initial=0.0) > 0:
+        return None
+    return Sample(zone, writer.write(string.midi, "resonance", zone.sample_gain * sound))
+
+
+def _noises(release: ReleaseNoise, rate: int) -> dict[int, np.ndarray]:
+    """Noises of the recorded keys that are let go after a long note, by key [channels, samples]."""
+    return {midi: release.sound(midi, RECORDED_VELOCITY, math.inf, rate)[:CHANNELS] for midi in release.sounds}
+
+
+def _write_releases(release: ReleaseNoise, writer: _Writer, played: Sequence[int]) -> list[ReleaseSample]:
+    """Write the noises of the recorded keys that are needed, and return the noise of every key that is played."""
+    noises, files = _noises(release, writer.options.rate), dict[int, str]()
+    found = []
+    for midi in played:
+        source = release.source(midi)
+        if source not in files:
+            files[source] = writer.write(source, "release", noises[source])
+        sound = release.sound(midi, RECORDED_VELOCITY, math.inf, writer.options.rate)[:CHANNELS]
+        powers = [max(float(np.sum(x**2)), 1e-30) for x in (sound, noises[source])]
+        found.append(ReleaseSample(midi, files[source], 0.5 * DB * math.log(powers[0] / powers[1])))
+    return found
 
 
 def _file_name(name: str) -> str:

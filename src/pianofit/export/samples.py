@@ -1,4 +1,8 @@
-"""The samples of a key: the sound of each stroke, its first sample, and the level of the key over velocity."""
+"""The samples of a key: the sound of each stroke, its first sample, and the level of the key over velocity.
+
+A resonance sample is the sound that free strings add to one stroke with the right pedal down, as in `pianofit play`.
+The motion of free strings follows the force of the hammer, so its level over velocity is that of the stroke.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,9 @@ from scipy.interpolate import PchipInterpolator
 
 from ..instrument import Instrument
 from ..model.note import arrival
+from ..playback.resonance import Contact, Stroke, render_resonance
 from ..playback.voice import CHANNELS, StringVoice
-from .layers import LOUDEST, SOFTEST, Zone, crossfade_layers, layer_velocities
+from .layers import LOUDEST, SOFTEST, Zone, blend_layers, crossfade_layers, layer_velocities
 
 # A sample ends this far below its peak, dB, or after the requested time. The fade is this fraction of its length.
 SILENT_DB = 110.0
@@ -38,15 +43,20 @@ class KeySamples(NamedTuple):
     zones: list[Zone]
     begin: list[int]  # first sample of each zone within `stroke`; negative if silence comes first
     peak: float  # of the loudest layer, file units
+    whole: Zone  # gain over all velocities of a sample that is struck at the middle layer
 
 
 def measure_layers(
-    instrument: Instrument, string: StringVoice, velocities: Sequence[int], seconds: float
+    instrument: Instrument, string: StringVoice, velocities: Sequence[int], seconds: float, blend: str, soft: float
 ) -> KeySamples:
-    """Strike a key at the velocities of its layers and at `LEVELS` more, and measure levels and positions."""
+    """Strike a key at the velocities of its layers and at `LEVELS` more, and measure levels and positions.
+
+    `blend` is one of `BLENDS`, and `soft` the position of the left pedal, 0 to 1.
+    """
     measured = sorted({*velocities, *layer_velocities(LEVELS)})
     sounds = {
-        velocity: render_stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS)) for velocity in measured
+        velocity: render_stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS), soft)
+        for velocity in measured
     }
     level_db = [10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)) for sound in sounds.values()]
     layers = [sounds[velocity] for velocity in velocities]
@@ -56,23 +66,41 @@ def measure_layers(
     # The curve is constant below the softest stroke, because an extrapolation is unreliable.
     curve = PchipInterpolator(measured, level_db)(np.clip(np.arange(LOUDEST + 1), SOFTEST, LOUDEST))
     peak = max(float(np.abs(sound).max()) for sound in layers)
-    return KeySamples(crossfade_layers(velocities, curve, correlation), [begin + shift for shift in shifts], peak)
+    zones = blend_layers(blend, velocities, curve, correlation)
+    (whole,) = crossfade_layers([velocities[len(velocities) // 2]], curve, [])
+    return KeySamples(zones, [begin + shift for shift in shifts], peak, whole)
 
 
-def render_sample(instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float) -> np.ndarray:
+def render_sample(
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float, soft: float
+) -> np.ndarray:
     """A stroke [channels, samples] from sample `begin` on, with a fade-out."""
-    sound = render_stroke(instrument, string, velocity, seconds + max(begin, 0) / string.rate)
-    sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))
-    return _fade_out(sound[:, : round(seconds * string.rate)], string.rate)
+    sound = render_stroke(instrument, string, velocity, seconds + max(begin, 0) / string.rate, soft)
+    return _cut(sound, begin, seconds, string.rate)
 
 
-def render_stroke(instrument: Instrument, string: StringVoice, velocity: int, seconds: float) -> np.ndarray:
+def render_resonance_sample(
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float
+) -> np.ndarray:
+    """Sound that free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
+    string.reset()
+    head = string.strike(instrument.note(string.midi, velocity).hammer.v_H0)
+    stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)
+    lifted = {midi: [Contact(0, 0.0)] for midi in instrument.keys}
+    samples = round(seconds * string.rate) + max(begin, 0)
+    sound = render_resonance(instrument, [stroke], lifted, string.rate, samples)[:CHANNELS]
+    return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, seconds, string.rate)
+
+
+def render_stroke(
+    instrument: Instrument, string: StringVoice, velocity: int, seconds: float, soft: float = 0.0
+) -> np.ndarray:
     """One stroke on the string at rest [channels, samples], from the contact on, or from the knock before it."""
     note = instrument.note(string.midi, velocity)
     string.reset()
     # Add the travel time of the wave to the pickup.
     samples = round((seconds + arrival(note.string, note.geometry, note.quantity)) * string.rate)
-    head = string.strike(note.hammer.v_H0)
+    head = string.strike(note.hammer.v_H0, soft)
     sound = np.concatenate([head, string.ring(max(samples - head.shape[-1], 0))], axis=-1)
     return string.through_path(sound)[:CHANNELS, :samples]
 
@@ -95,6 +123,12 @@ def _align(layers: Sequence[np.ndarray], farthest: int) -> tuple[list[int], list
         correlation.append(max(float(cross[best] / np.sqrt(np.sum(soft**2) * np.sum(loud**2))), 0.0))
         shifts.append(shifts[-1] + best)
     return shifts[::-1], correlation[::-1]
+
+
+def _cut(sound: np.ndarray, begin: int, seconds: float, rate: int) -> np.ndarray:
+    """A sound [channels, samples] from sample `begin` on, with a fade-out."""
+    sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))
+    return _fade_out(sound[:, : round(seconds * rate)], rate)
 
 
 def _fade_out(sound: np.ndarray, rate: int) -> np.ndarray:

@@ -36,6 +36,10 @@ class ReleaseNoise:
     sounds: Mapping[int, np.ndarray]
     rate: int
 
+    def source(self, midi: int) -> int:
+        """Return the recorded key whose noise a key plays: the nearest, or the lower of two."""
+        return min(self.sounds, key=lambda key: (abs(key - midi), key))
+
     def sound(self, midi: int, velocity: int, seconds: float, rate: int) -> np.ndarray:
         """Return the noise of a key, file units [channels, samples].
 
@@ -50,7 +54,7 @@ class ReleaseNoise:
         seconds : time since the stroke, s.
         rate : sample rate, Hz.
         """
-        nearest = min(self.sounds, key=lambda key: (abs(key - midi), key))
+        nearest = self.source(midi)
         keys = sorted(self.sounds)
         log_rms = {key: 0.5 * math.log(max(float(np.sum(self.sounds[key] ** 2)), 1e-30)) for key in keys}
         level = float(np.interp(midi, keys, [log_rms[key] for key in keys])) - log_rms[nearest]

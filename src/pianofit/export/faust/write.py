@@ -10,15 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...conversions import hertz_of
 from ...errors import ParameterError
 from ...instrument import Instrument
-from ...instrument.dampers import damper_rate
+from ...instrument.dampers import LAST_DAMPER, Dampers
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
+from ...playback.midi import SWITCH
+from ...playback.pedals import PedalRange
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice
 from ...report.html import asset
 from ...threads import one_blas_thread
-from ..layers import LOUDEST
+from ..layers import LARGEST_TRANSPOSITION, LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
 
@@ -90,7 +93,8 @@ def write_faust(
         progress("tables", 0.98 * (i + 1) / len(keys))
     gain = PEAK_LIMIT / peak if peak > 0 else 1.0
     rate, knocks, numbers = _fit_knocks(key_tables)
-    definitions = [*_key_tables(keys, key_tables, channels, gain)]
+    definitions = [*_damper_tables(keys, key_tables, instrument.dampers)]
+    definitions += _key_tables(keys, key_tables, channels, gain)
     if rate:
         definitions += _knock_tables(knocks, channels, gain)
     modes = max(len(key.pole) for key in key_tables)
@@ -107,6 +111,10 @@ def write_faust(
         knock_rate=rate or RATE,
         margin=MARGIN,
         touch=_digits(max(instrument.pre_onset_s - FILTER_REACH / RATE, 0.0) - MARGIN / RATE),
+        switch=SWITCH,
+        slope=_digits(instrument.dampers.slope),
+        pedal_low=_digits(PedalRange().low),
+        pedal_high=_digits(PedalRange().high),
         tables="\n".join(definitions),
         knock="+(knock(c))" if rate else "_",
     )
@@ -137,12 +145,24 @@ def _fit_knocks(key_tables: Sequence[KeyTables]) -> tuple[int | None, list[LowRa
     )
 
 
+def _damper_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], dampers: Dampers) -> Iterator[str]:
+    """Definitions of the rates that dampers add at the fundamental, and to the mode that they damp most slowly."""
+    hertz = [np.abs(np.imag(key.pole)) / (2 * np.pi) for key in key_tables]
+    at_fundamental = [dampers.rates(midi, np.array([hertz_of(midi)]))[0] for midi in keys]
+    yield _table("damper_of_row", at_fundamental)
+    slowest = [
+        dampers.rates(midi, hz).min(initial=rate) for midi, hz, rate in zip(keys, hertz, at_fundamental, strict=True)
+    ]
+    yield _table("slowest_of_row", slowest)
+
+
 def _key_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], channels: int, gain: float) -> Iterator[str]:
     """Definitions of all tables except the knocks. Rows of keys are concatenated, with the offset of each row."""
-    nearest = [int(np.argmin(np.abs(np.array(keys) - midi))) for midi in range(128)]
-    yield _table("row_of_key", nearest)
+    # A key without damper is transposed from another one if possible, and a key with damper likewise.
+    sampled, midi = np.array(keys), np.arange(128)[:, None]
+    other_side = (sampled <= LAST_DAMPER) != (midi <= LAST_DAMPER)
+    yield _table("row_of_key", np.argmin(np.abs(sampled - midi) + LARGEST_TRANSPOSITION * other_side, axis=1))
     yield _table("key_of_row", keys)
-    yield _table("damper_of_row", [damper_rate(key) for key in keys])
     count = [len(key.pole) for key in key_tables]
     yield _table("mode_count", count)
     yield _table("mode_begin", np.cumsum([0, *count[:-1]]))

@@ -1,0 +1,94 @@
+"""Text of a Decent Sampler preset, as https://decentsampler-developers-guide.readthedocs.io documents the format.
+
+The format has no crossfades, but a table can modulate the volume of a group by velocity, so every sample is a group.
+
+A sample has one release time, so the slope of a damper over frequency is lost. Half pedal and sostenuto are not
+documented. Groups are chosen by a pedal at the stroke (`loCC67`, `loCC64`), so a pedal that
+is pressed later adds no resonance. A release group (`trigger`) plays the noise of a key that is let go. Release
+velocity is not documented, and `releaseTriggerDecay` can only reduce a level with the sounding time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from ..conversions import T60_NEPERS
+from ..playback.midi import SWITCH
+from .layers import LOUDEST, Sample, SampledKey, SamplerContent, Zone
+
+# The first version that documents velocity as a modulator.
+VERSION = "1.15.0"
+
+
+class _Group(NamedTuple):
+    """One sample of a key, and the pedals at which it sounds."""
+
+    key: SampledKey
+    sample: Sample
+    pedals: dict[str, str]
+    table: bool  # whether the volume follows the velocity
+
+
+def dspreset_text(content: SamplerContent) -> str:
+    """Return the text of a preset."""
+    root = ElementTree.Element("DecentSampler", minVersion=VERSION)
+    root.append(ElementTree.Comment(f" {content.title}: strings and hammers, computed by pianofit "))
+    groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
+    modulators = ElementTree.SubElement(root, "modulators")
+    velocity = ElementTree.SubElement(modulators, "midiVelocity", scope="voice", modAmount="1.0")
+    for i, group in enumerate(group for key in content.keys for group in _groups(key, content.blend)):
+        _add_group(groups, group)
+        if group.table:
+            binding = {"type": "amp", "level": "group", "groupIndex": str(i), "parameter": "AMP_VOLUME"}
+            binding |= {"modBehavior": "set", "translation": "table", "translationTable": _table(group.sample.zone)}
+            ElementTree.SubElement(velocity, "binding", binding)
+    if content.releases:
+        _add_releases(groups, content)
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _groups(key: SampledKey, blend: str) -> Iterator[_Group]:
+    table = blend == "curves"
+    for sample in key.strokes:
+        yield _Group(key, sample, _range(67, 0, SWITCH - 1) if key.soft else {}, table)
+    for sample in key.soft:
+        yield _Group(key, sample, _range(67, SWITCH, LOUDEST), table)
+    if key.resonance:
+        yield _Group(key, key.resonance, _range(64, SWITCH, LOUDEST), True)
+
+
+def _range(controller: int, low: int, high: int) -> dict[str, str]:
+    """Attributes that choose a group by the value of a controller at the stroke."""
+    return {f"loCC{controller}": str(low), f"hiCC{controller}": str(high)}
+
+
+def _add_group(groups: ElementTree.Element, group: _Group) -> None:
+    key, (zone, file) = group.key, group.sample
+    element = ElementTree.SubElement(groups, "group", {"ampVelTrack": "0"} | group.pedals)
+    attributes = {"path": file, "rootNote": key.midi, "loNote": key.low, "hiNote": key.high}
+    attributes |= {"loVel": zone.low, "hiVel": zone.high}
+    # The damper is the release; without a damper the note rings on. The format does not define the fall of an envelope
+    # during the release; 60 dB is usual.
+    attributes |= {"release": f"{T60_NEPERS / key.damper:.4f}"} if key.damper else {"ampEnvEnabled": "false"}
+    ElementTree.SubElement(element, "sample", {name: str(value) for name, value in attributes.items()})
+
+
+def _add_releases(groups: ElementTree.Element, content: SamplerContent) -> None:
+    """Add the group of noises of keys that are let go, at their own pitch and level."""
+    own = {"trigger": "release", "ampVelTrack": "0", "pitchKeyTrack": "0"}
+    element = ElementTree.SubElement(groups, "group", own)
+    for release in content.releases:
+        midi = str(release.midi)
+        attributes = {"path": release.file, "rootNote": midi, "loNote": midi, "hiNote": midi}
+        attributes |= {"volume": f"{release.gain_db:.2f}dB", "ampEnvEnabled": "false"}
+        ElementTree.SubElement(element, "sample", attributes)
+
+
+def _table(zone: Zone) -> str:
+    """Pairs of modulator value, 0 to 1, and volume. A table needs two."""
+    velocities = range(zone.low, zone.high + 1)
+    pairs = [f"{v / LOUDEST:.6f},{gain:.5g}" for v, gain in zip(velocities, zone.gain, strict=True)]
+    return ";".join(pairs if len(pairs) > 1 else ["0,0", *pairs])
