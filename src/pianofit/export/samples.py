@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from ..instrument import Instrument
 from ..model.note import arrival
-from ..playback.resonance import Contact, Stroke, render_resonance
+from ..playback.resonance import Stroke, hop_count, render_resonance
 from ..playback.voice import CHANNELS, StringVoice
 from .layers import LOUDEST, SOFTEST, Zone, blend_layers, crossfade_layers, layer_velocities
 
@@ -86,8 +86,8 @@ def render_resonance_sample(
     string.reset()
     head = string.strike(instrument.note(string.midi, velocity).hammer.v_H0)
     stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)
-    lifted = {midi: [Contact(0, 0.0)] for midi in instrument.keys}
     samples = round(seconds * string.rate) + max(begin, 0)
+    lifted = np.zeros((len(instrument.keys), hop_count(samples, string.rate)))
     sound = render_resonance(instrument, [stroke], lifted, string.rate, samples)[:CHANNELS]
     return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, seconds, string.rate)
 

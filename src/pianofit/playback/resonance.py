@@ -31,6 +31,12 @@ CHUNK_HOPS = 64
 SILENCE = 1e-8
 
 
+# Share of the motion of the bridge that strings have in common, by default. Points of a soundboard some decimetres
+# apart move together only in part. Chosen: with 1, as for strings at one point, notes in the middle of the keyboard
+# ring two to four times as long under the pedal (benchmarks/resonance.py). Measured ones ring a little longer.
+RESONANCE = 0.3
+
+
 class Stroke(NamedTuple):
     """A stroke as the key alone plays it."""
 
@@ -70,7 +76,7 @@ def render_resonance(
     contact: np.ndarray,
     rate: int,
     samples: int,
-    common: float = 1.0,
+    common: float = RESONANCE,
     progress: Callable[[float], None] = lambda _: None,
 ) -> np.ndarray:
     """Render what the strings add to each other [channels, samples], from the first touch at sample 0 on.

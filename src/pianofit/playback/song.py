@@ -20,7 +20,7 @@ from ..model.note import MAX_SAMPLES
 from ..threads import one_blas_thread
 from .midi import Song
 from .pedals import KeyMotion, PedalRange, key_motions, releases
-from .resonance import SILENCE, Stroke, hop_count, mean_contact, render_resonance
+from .resonance import RESONANCE, SILENCE, Stroke, hop_count, mean_contact, render_resonance
 from .voice import StringVoice
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
@@ -43,12 +43,6 @@ class Performance(NamedTuple):
     limited_db: float  # largest additional gain reduction by the limiter
     strikes: int
     restrikes: int  # strikes on a string that was still sounding
-
-
-# Share of the motion of the bridge that strings have in common, by default. Points of a soundboard some decimetres
-# apart move together only in part. Chosen: with 1, as for strings at one point, notes in the middle of the keyboard
-# ring two to four times as long under the pedal (benchmarks/resonance.py). Measured ones ring a little longer.
-RESONANCE = 0.3
 
 
 class PlayOptions(NamedTuple):
