@@ -20,7 +20,7 @@ from .spectrum import spectrum
 
 # Steps and length of the frames in which levels are measured, s. A frame is short against the attack of a bass note.
 STEP, FRAME = 0.01, 0.04
-# Bands: their lowest edge, Hz, and their number to an octave. Rumble lies below, and steps and doors.
+# Bands: their lowest edge, Hz, and their number to an octave. Rumble and steps lie below.
 LOWEST, PER_OCTAVE = 100.0, 2
 HIGHEST = 10_000.0  # Hz
 # Levels are compared over this many steps, and count from this much above the noise of their band, dB.
@@ -69,9 +69,10 @@ def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
     heard = np.maximum(levels, noise)
     onsets = [_refined(mono, rate, round(i * STEP * rate)) for i in _rises(heard)]
     onsets = [a for i, a in enumerate(onsets) if i == 0 or a - onsets[i - 1] >= APART * rate]
+    limits = [*onsets, samples.shape[1]][1:]
     return [
         _stroke(samples, rate, onset, _end(heard, noise, rate, onset, limit))
-        for onset, limit in zip(onsets, [*onsets[1:], samples.shape[1]], strict=True)
+        for onset, limit in zip(onsets, limits, strict=True)
     ]
 
 

@@ -20,7 +20,7 @@ from ..io.files import DISK_FULL, encode_wav, output_folder, replace_file
 from ..io.number_format import format_like, format_with_interval
 from ..parameters import check_seed
 from ..progress import progress_bar
-from . import batch, export, fits, instrument, listening, sounds
+from . import batch, export, fits, instrument, library, listening, sounds
 from .options import Force, Json, Seed, real
 from .terminal import add, print_error, print_result
 
@@ -115,6 +115,7 @@ COMMANDS = {
     fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
     fits.cross_validate: "pianofit cross-validate soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
     fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
+    library.cut: "pianofit cut session.wav --out library",
     batch.batch: "pianofit batch library.csv --out library",
     batch.status: "pianofit status library",
     instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",

@@ -1,0 +1,154 @@
+"""Cut a long recording of many strokes into one file a stroke, named by note and layer.
+
+The recording itself is not changed.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..analysis.strokes import BEFORE, Stroke, find_strokes
+from ..errors import RecordingError, SetupError
+from ..io.audio import decode
+from ..io.files import encode_pcm, output_folder, printable, read_file, replace_file
+
+# Largest recording to cut, bytes: two hours of stereo of 24 bits at 48 kHz.
+LARGEST_LONG_RECORDING = 2**31
+LIST = "strokes.csv"
+FIELDS = ("note", "layer", "number")
+PATTERN = "{note}-L{layer}"
+# Letters that no file name has on every system.
+FORBIDDEN = '/\\:*?"<>|'
+# Bits of a FLAC that holds samples of these kinds exactly. Other kinds are written as 24 bits.
+BITS = {"PCM_S8": 16, "PCM_U8": 16, "PCM_16": 16}
+
+
+@dataclass(frozen=True)
+class CutStroke:
+    """One stroke in the list of a cut recording."""
+
+    number: int
+    file: str  # empty if it was not written
+    start_s: float  # of the onset
+    end_s: float
+    note: str
+    cents: float | None
+    loudness_db: float
+    layer: int | None  # of its note, from the softest, 1
+    doubt: str  # why it was not written
+
+
+def cut_recording(
+    path: Path,
+    out: Path | None,
+    pattern: str = PATTERN,
+    *,
+    force: bool = False,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> list[CutStroke]:
+    """Cut a long recording at its strokes.
+
+    Parameters
+    ----------
+    path : recording.
+    out : folder for the files and `strokes.csv`; None only lists the strokes.
+    pattern : name of a file without its ending, with the fields {note}, {layer} and {number}.
+    force : replace the folder.
+    progress : called with the name of the step and the finished fraction.
+
+    Returns
+    -------
+    All strokes. Unsure ones are listed with the reason and not written.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or holds no stroke.
+    SetupError
+        For a pattern with other fields, or that names two strokes alike.
+    """
+    frames, rate, kind = _read(path)
+    progress("listening", 0.0)
+    strokes = find_strokes(frames.T, rate)
+    if not any(not stroke.doubt for stroke in strokes):
+        raise RecordingError(f"{printable(path)}: no stroke with a pitch was found; give a recording of single notes")
+    listed = _listed(strokes, rate, pattern)
+    if out is None:
+        return listed
+    if any((out / entry.file).resolve() == path.resolve() for entry in listed if entry.file):
+        raise SetupError(f"{printable(path)}: would be replaced by one of its strokes; give another --out or --pattern")
+    with output_folder(out, force) as folder:
+        for i, (stroke, entry) in enumerate(zip(strokes, listed, strict=True)):
+            if entry.file:
+                first = max(stroke.onset - round(BEFORE * rate), strokes[i - 1].end if i else 0, 0)
+                content = encode_pcm(frames[first : stroke.end].T, rate, "flac", BITS.get(kind, 24))
+                replace_file(folder / entry.file, content)
+            progress("cutting", (i + 1) / len(strokes))
+        replace_file(folder / LIST, as_csv(listed).encode())
+    return listed
+
+
+def _read(path: Path) -> tuple[np.ndarray, int, str]:
+    data = read_file(path, LARGEST_LONG_RECORDING, RecordingError)
+    try:
+        return decode(data)
+    except RecordingError as error:
+        raise RecordingError(f"{printable(path)}: {error}") from None
+
+
+def _listed(strokes: list[Stroke], rate: int, pattern: str) -> list[CutStroke]:
+    """Number the strokes, and the layers of each note from the softest."""
+    layers: dict[int, int] = {}
+    for note in {stroke.note for stroke in strokes if not stroke.doubt}:
+        own = [i for i, stroke in enumerate(strokes) if stroke.note == note and not stroke.doubt]
+        own.sort(key=lambda i: strokes[i].loudness_db)
+        layers |= {i: layer for layer, i in enumerate(own, start=1)}
+    listed = [
+        CutStroke(
+            i + 1,
+            f"{_named(pattern, stroke.note, layers[i], i + 1)}.flac" if i in layers else "",
+            round(stroke.onset / rate, 6),
+            round(stroke.end / rate, 6),
+            stroke.note,
+            None if np.isnan(stroke.cents) else round(stroke.cents, 1),
+            round(stroke.loudness_db, 1),
+            layers.get(i),
+            stroke.doubt,
+        )
+        for i, stroke in enumerate(strokes)
+    ]
+    names = Counter(entry.file for entry in listed if entry.file)
+    if twice := [name for name, count in names.items() if count > 1]:
+        count = names[twice[0]]
+        raise SetupError(f"--pattern {pattern!r} names {count} strokes {twice[0]}; add {{layer}} or {{number}}")
+    return listed
+
+
+def _named(pattern: str, note: str, layer: int, number: int) -> str:
+    """Return the name of a file. Fields are replaced as text, so that a pattern is never code."""
+    values = {"note": note, "layer": str(layer), "number": str(number)}
+    name = re.sub(r"\{([^{}]*)\}", lambda field: values.get(field[1], field[0]), pattern)
+    if "{" in name or "}" in name:
+        fields = ", ".join(f"{{{field}}}" for field in FIELDS)
+        raise SetupError(f"--pattern {pattern!r} must have no fields but {fields}")
+    if not name or name.startswith(".") or any(letter in name for letter in FORBIDDEN):
+        letters = " ".join(FORBIDDEN)
+        raise SetupError(f"--pattern {pattern!r} makes {name!r}, which cannot be a file name; leave out {letters}")
+    return name
+
+
+def as_csv(listed: list[CutStroke]) -> str:
+    """Return the list as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(CutStroke.__dataclass_fields__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: "" if v is None else v for k, v in asdict(entry).items()} for entry in listed)
+    return text.getvalue()
