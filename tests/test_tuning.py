@@ -28,6 +28,7 @@ from pianofit.instrument.keyboard_posterior import (
 )
 from pianofit.instrument.quantity_law import SHAPE_SD, STUDENT
 from pianofit.literature import STRINGS
+from pianofit.model.modal_response import ModalResponse
 from pianofit.model.modes import mode_frequencies
 from pianofit.parameters import String
 from pianofit.schema.tuning import TunedKey, Tuning
@@ -257,25 +258,42 @@ def test_few_keys_have_no_law_of_their_own(tmp_path):
     assert len(found.warnings) == 2  # few keys, and no modal response
 
 
-@pytest.mark.parametrize(("cents", "is_wide"), [(1.0, False), (5.0, True)])
-def test_beats_are_the_split_of_the_modes(cents, is_wide):
+def beating(cents: float, partials: slice = slice(None)) -> ModalResponse:
+    """Two slowly decaying modes of equal amplitude in every partial, split by some cents in some partials."""
     response = rung(66).modal_response
     assert response is not None
-    slow = response.partial.searchsorted(np.unique(response.partial), side="right") - 1
-    pole, pattern = response.pole.copy(), response.pattern.copy()
-    # Slowly decaying modes of equal amplitude: the second one of each partial is sharp.
-    pole = -0.4 + 1j * np.imag(pole)
-    pole[slow] = pole[slow - 1] + 1j * np.imag(pole[slow - 1]) * (2 ** (cents / 1200) - 1)
-    pattern[:, slow] = pattern[:, slow - 1]
-    split = response._replace(pole=pole, pattern=pattern, pole_error=np.full(len(pole), 0.01))
-    recorded = measure(reference(), np.random.default_rng(0))._replace(responses={60: split})
+    pole, pattern = -0.4 + 1j * np.imag(response.pole), response.pattern.copy()
+    pattern[:, 1::2] = pattern[:, ::2]
+    ratio = np.ones(len(pole) // 2)
+    ratio[partials] = 2 ** (cents / 1200)
+    pole[1::2] = -0.4 + 1j * np.imag(pole[::2]) * ratio
+    return response._replace(pole=pole, pattern=pattern, pole_error=np.full(len(pole), 0.01))
+
+
+def tuning_with(response: ModalResponse) -> tuple[Tuning, TunedKey]:
+    recorded = measure(reference(), np.random.default_rng(0))._replace(responses={60: response})
     found = tuning_of(recorded, posterior_of(recorded), 440.0, "2:1")
-    (key,) = [key for key in found.keys if key.beats]
+    return found, found.keys[60 - 21]
+
+
+@pytest.mark.parametrize(("cents", "is_wide"), [(1.0, False), (5.0, True)])
+def test_beats_are_the_split_of_the_modes(cents, is_wide):
+    found, key = tuning_with(beating(cents))
     for beat in key.beats:
         assert beat.rate.value == pytest.approx(beat.frequency * (2 ** (cents / 1200) - 1), rel=0.01)
         assert beat.cents.interval[0] <= cents * 1.001
         assert cents * 0.999 <= beat.cents.interval[1]
+    assert key.unison_cents is not None
+    assert key.unison_cents.value == pytest.approx(cents, rel=0.01)
     assert found.wide_unisons == (("C4",) if is_wide else ())
+
+
+def test_a_few_partials_that_beat_are_not_a_mistuned_unison():
+    found, key = tuning_with(beating(9.0, slice(5, 8)))
+    assert len(key.beats) == 3
+    assert key.unison_cents is not None
+    assert key.unison_cents.value == 0
+    assert found.wide_unisons == ()
 
 
 # --- published tables -------------------------------------------------------------------------------------------------

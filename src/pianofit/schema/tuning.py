@@ -65,8 +65,8 @@ class TunedKey:
     change : target minus as found, cents.
     deviation : as found minus the law, cents, of a recorded key.
     beats : of the partials of a recorded key.
-    unison_cents : typical split of the partials that beat, cents: median of their values and of the ends of their
-        intervals.
+    unison_cents : split of the unison, cents: median over all partials above 290 Hz, in which 2 cents are a measurable
+        beat. A partial that does not beat counts as 0. None without a modal response.
     """
 
     midi: KeyNumber

@@ -31,6 +31,8 @@ COLUMNS = {
 }
 # Keys whose numbers stand in the summary.
 SHOWN = ("A0", "C2", "A3", "A4", "C6", "C8")
+# Beats that the summary lists for a key, from the lowest partial on.
+LISTED_BEATS = 4
 
 
 def write_tuning(folder: str | os.PathLike[str], tuning: Tuning) -> None:
@@ -100,7 +102,7 @@ def tuning_summary(tuning: Tuning) -> str:
 
 
 def _beats(key: TunedKey) -> str:
-    rates = ", ".join(f"{beat.rate.value:.2f} Hz at partial {beat.partial}" for beat in key.beats)
+    rates = ", ".join(f"{beat.rate.value:.2f} Hz at partial {beat.partial}" for beat in key.beats[:LISTED_BEATS])
     return f"{span_text(key.unison_cents)} cents: {rates}"
 
 

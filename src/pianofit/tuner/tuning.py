@@ -24,7 +24,7 @@ from ..instrument.key_quantities import LAW_QUANTITIES, literature
 from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurement, joint_laws
 from ..io.files import printable
 from ..io.number_format import counted
-from ..model.modal_response import ModalResponse, PartialDecay, decays_and_beats
+from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
 from ..schema.decode import load_json
 from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT, OwnFit
 from ..schema.tuning import IntervalValue, OctaveType, PartialBeat, TunedKey, Tuning
@@ -41,6 +41,8 @@ ENDS = (2.5, 97.5)  # percentiles
 # Split of a unison up to which listeners prefer it, cents: a largest deviation of 1 to 2 cents among three strings (R.
 # E. Kirk, J. Acoust. Soc. Am. 31, 1644, 1959).
 PREFERRED_UNISON = 2.0
+PREFERRED_RATIO = math.expm1(PREFERRED_UNISON / CENTS)  # relative frequency difference
+SLOWEST_BEAT = 1 / LATE[1]  # Hz; `decays_and_beats` does not report slower ones
 HINT = "give the folder of pianofit batch, fit.json files, or one instrument.json"
 
 
@@ -190,14 +192,26 @@ def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
 
 
 def _unison(response: ModalResponse | None) -> dict[str, Any]:
-    """Beats of a key, and the typical split of its unison."""
+    """Beats of a key, and the split of its unison.
+
+    A mistuned unison splits all partials by the same number of cents. So the split is the median over all partials in
+    which the preferred split would be a measurable beat. A partial that does not beat counts as 0 cents.
+    """
     decays = [] if response is None else decays_and_beats(response)
+    rows = [_split(partial) for partial in decays if partial.frequency >= SLOWEST_BEAT / PREFERRED_RATIO]
     beats = tuple(_beat(partial) for partial in decays if not math.isnan(partial.beat_frequency))
-    if not beats:
-        return {}
-    rows = np.array([(beat.cents.value, *beat.cents.interval) for beat in beats])
+    if not rows:
+        return {"beats": beats}
     value, low, high = np.median(rows, axis=0).tolist()
     return {"beats": beats, "unison_cents": IntervalValue(value, (low, high))}
+
+
+def _split(partial: PartialDecay) -> tuple[float, float, float]:
+    """Split of a partial and the ends of its interval, cents."""
+    if math.isnan(partial.beat_frequency):
+        return 0.0, 0.0, CENTS * math.log1p(SLOWEST_BEAT / partial.frequency)
+    cents = _beat(partial).cents
+    return cents.value, *cents.interval
 
 
 def _beat(partial: PartialDecay) -> PartialBeat:
