@@ -295,6 +295,12 @@ COMMANDS = [
     result("chosen", {"schema": 2, "trials": [{"condition": "x", "chosen": ["a"], "hit": "a"}]}, "must be one of a, b"),
     result("nested", b"[" * 100_000, "not answers"),
     command("listen-result-twice", "listen --result @/answers.json --result @/answers.json", "same", build=answered),
+    command("tuning-missing", "tuning @/none", "none: no such file"),
+    command("tuning-not-a-fit", "tuning @/good.wav", "good.wav"),
+    command("tuning-a4", "tuning @/none --a4 4400", "a4=4400"),
+    command("tuning-a4-word", "tuning @/none --a4 high", "high", 2),
+    command("tuning-octave", "tuning @/none --octave 3:1", "3:1", 2),
+    command("tuning-out-not-empty", "tuning @/fit.json --out @/out", "--force", build=occupied),
     command("unknown-command", "tune", "tune", 2),
 ]
 

@@ -42,6 +42,8 @@ __all__ += ["build_instrument", "load_instrument", "KeyPrior", "prior_of_key", "
 __all__ += ["Song", "load_song", "PedalRange", "PlayOptions", "Performance", "render_song"]
 __all__ += ["ExportOptions", "ExportSummary"]
 __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "write_playable_page"]
+# Tuning of a piano.
+__all__ += ["tuning", "Tuning", "TunedKey", "PartialBeat", "IntervalValue", "write_tuning"]
 # Libraries, and blind listening tests.
 __all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
 # Errors.
@@ -93,8 +95,11 @@ if TYPE_CHECKING:
     from .result.prediction import Prediction, predict_recording
     from .schema.notes import load_note
     from .schema.quantities import Covariance, Quantities, Quantity
+    from .schema.tuning import IntervalValue, PartialBeat, TunedKey, Tuning
     from .setup import Measured, RecordingInfo, Setup
     from .synthetic import SyntheticRecording, synthetic_recording
+    from .tuner.save import write_tuning
+    from .tuner.tuning import tuning
     from .web import PageSummary, write_playable_page
 
 _MODULES = {
@@ -145,8 +150,11 @@ _MODULES = {
     "key_prior": ("KeyPrior",),
     "schema.notes": ("load_note",),
     "schema.quantities": ("Covariance", "Quantities", "Quantity"),
+    "schema.tuning": ("IntervalValue", "PartialBeat", "TunedKey", "Tuning"),
     "setup": ("Measured", "RecordingInfo", "Setup"),
     "synthetic": ("SyntheticRecording", "synthetic_recording"),
+    "tuner.save": ("write_tuning",),
+    "tuner.tuning": ("tuning",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

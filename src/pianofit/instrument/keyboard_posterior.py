@@ -89,6 +89,19 @@ class KeyboardPosterior:
         return value, sd
 
 
+class JointLaws(NamedTuple):
+    """Laws and values of some quantities at some keys with their joint covariance, on the scales of the laws."""
+
+    mean: np.ndarray  # of f, then of f + δ, with the literature [2, quantities, at]
+    covariance: np.ndarray  # in the order of the mean [n, n]
+
+    def draw(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Draw laws and values [count, 2, quantities, at]."""
+        variance, axes = np.linalg.eigh(self.covariance)
+        root = axes * np.sqrt(np.maximum(variance, 0.0))
+        return self.mean + (random.normal(size=(count, len(root))) @ root.T).reshape(count, *self.mean.shape)
+
+
 class _System(NamedTuple):
     """The Gaussian model of all fits, in the order [quantities, keys]."""
 
@@ -211,13 +224,57 @@ def predict_key(
 
 def _prediction_covariance(fitted: _Fitted, midi: float) -> np.ndarray:
     """Covariance of the quantities of a key without a fit, at the most probable shapes [quantities, quantities]."""
-    at = np.array([midi])
-    shapes, priors = fitted.model.shapes, fitted.model.priors
-    pairs = list(zip(shapes, priors, strict=True))
-    cross = np.array([law_covariance(at, fitted.data.x, *pair)[0] for pair in pairs])
-    own = [law_covariance(at, at, *pair)[0, 0] + STUDENT / (STUDENT - 2) * pair[0].scatter ** 2 for pair in pairs]
-    covariance = np.diag(own) - np.einsum("qi,qirj,rj->qr", cross, fitted.system.blocks(fitted.data), cross)
-    return 0.5 * (covariance + covariance.T)
+    return _joint_covariance(fitted, range(len(fitted.model.priors)), np.array([midi]))[1, :, 0, 1, :, 0]
+
+
+def joint_laws(
+    keys: Sequence[KeyMeasurements],
+    literature: np.ndarray,
+    priors: Sequence[Prior],
+    at: Sequence[int],
+    chosen: Sequence[int],
+) -> JointLaws:
+    """Combine the fits of some keys, and return some quantities of all keys with their joint covariance.
+
+    The correlations are those at the most probable shapes. Means and standard deviations are means over all shapes,
+    as those of `keyboard_posterior`, whose arguments these are.
+
+    Parameters
+    ----------
+    chosen : indices of the returned quantities, ascending.
+    """
+    places, everywhere = np.searchsorted(at, [key.midi for key in keys]), np.asarray(at, float)
+    fitted = _fit_model(keys, literature[:, places], priors)
+    mean, sd = np.empty((2, len(chosen), len(at))), np.empty((2, len(chosen), len(at)))
+    for row, q in enumerate(chosen):
+        observed = _observed(fitted.system, fitted.data, fitted.model, q)
+        law = integrate(observed, priors[q], fitted.model.shapes[q], everywhere)
+        mean[:, row], sd[0, row], sd[1, row] = law.law, law.law_sd, np.hypot(law.law_sd, law.scatter_sd)
+        mean[1, row, places], sd[1, row, places] = law.value, law.value_sd
+    covariance = _joint_covariance(fitted, chosen, everywhere).reshape(mean.size, mean.size)
+    factor = sd.ravel() / np.sqrt(np.diag(covariance))
+    return JointLaws(mean + literature[[*chosen]], covariance * np.outer(factor, factor))
+
+
+def _joint_covariance(fitted: _Fitted, chosen: Sequence[int], at: np.ndarray) -> np.ndarray:
+    """Covariance of f and f + δ of some quantities at the most probable shapes [2, chosen, at, 2, chosen, at].
+
+    The correlation of the errors of a fit enters by the covariance of all fits.
+    """
+    data, model = fitted.data, fitted.model
+    same, count = at[:, None] == data.x, (len(chosen), len(at))
+    cross = np.zeros((2, *count, *data.y.shape))
+    prior = np.zeros((2, *count, 2, *count))
+    for row, q in enumerate(chosen):
+        shape, scatter = model.shapes[q], key_variance(model.weights[q], model.shapes[q])
+        unrecorded = STUDENT / (STUDENT - 2) * shape.scatter**2
+        cross[:, row, :, q] = law_covariance(at, data.x, shape, model.priors[q])
+        cross[1, row, :, q] += same * scatter
+        prior[:, row, :, :, row] = law_covariance(at, at, shape, model.priors[q])[:, None, :]
+        prior[1, row, :, 1, row] += np.diag(np.where(same.any(axis=1), same @ scatter, unrecorded))
+    rows = cross.reshape(prior[..., 0, 0, 0].size, -1)
+    covariance = prior.reshape(len(rows), len(rows)) - rows @ fitted.system.inverse @ rows.T
+    return (0.5 * (covariance + covariance.T)).reshape(prior.shape)
 
 
 def _data(keys, shares, x: np.ndarray, reference: np.ndarray) -> _Data:
