@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from instrument_cases import piano_of, rung, true_note
 
+from pianofit.cli.program import main
 from pianofit.errors import ParameterError
 from pianofit.export.modal_json import RATE, VELOCITIES, write_modal_json
-from pianofit.instrument import Instrument
+from pianofit.instrument import Instrument, write_instrument
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SECONDS = 0.4
@@ -95,3 +96,14 @@ def test_an_unknown_key_leaves_no_file(grand, tmp_path):
     with pytest.raises(ParameterError, match="key 30 "):
         write_modal_json(tmp_path / "grand.json", grand, [64, 30])
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_writes_one_file(grand, tmp_path, capsys):
+    write_instrument(tmp_path / "instrument.json", grand)
+    command = ["export", str(tmp_path / "instrument.json"), "--format", "modal-json", "--keys", "E4", "--json"]
+    assert main([*command, "--out", str(tmp_path / "modes.json")]) == 0
+    assert json.loads(capsys.readouterr().out)["keys"] == 1
+    assert json.loads((tmp_path / "modes.json").read_text())["keys"][0]["midi"] == 64
+    assert main([*command, "--out", str(tmp_path / "modes")]) == 1
+    assert main([*command, "--out", str(tmp_path / "other.json"), "--velocity-layers", "4"]) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["instrument.json", "modes.json"]

@@ -26,14 +26,16 @@ OPTION_NAMES = {
     "blend": "--velocity-blend",
     "una_corda": "--una-corda",
 }
+# Formats that are one file, and the ending of its name.
+ENDINGS = {"faust": ".dsp", "modal-json": ".json"}
 
 
 def export(
     built: Built,
-    out: Annotated[Path, text("DIR|FILE.DSP", "Folder for the sampler, or file for the Faust program.")],
+    out: Annotated[Path, text("DIR|FILE", "Folder of a sampler, or file: .dsp for Faust, .json for modal-json.")],
     prefix: Prefix = None,
     even: Even = 0.0,
-    to: Annotated[str, text("FORMAT", "Format: sfz, decent-sampler or faust.", "--format")] = "sfz",
+    to: Annotated[str, text("FORMAT", "Format: sfz, decent-sampler, faust or modal-json.", "--format")] = "sfz",
     keys: Annotated[
         str, text("KEYS", "Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed.")
     ] = "every 3",
@@ -57,18 +59,19 @@ def export(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Export an instrument as a sampler or as a Faust program."""
+    """Export an instrument as a sampler, as a Faust program, or as modes for other engines."""
     from ..export import SAMPLERS, ExportOptions, export_sampler, parse_keys
     from ..export.faust import write_faust
     from ..export.layers import fill_gaps
+    from ..export.modal_json import write_modal_json
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
 
     options = {"layers": velocity_layers, "seconds": seconds, "rate": rate, "kind": samples}
     options |= {"blend": velocity_blend, "resonance": resonance, "una_corda": una_corda}
     given = {name: value for name, value in options.items() if value is not None}
-    if to not in (*SAMPLERS, "faust"):
-        raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
+    if to not in (*SAMPLERS, *ENDINGS):
+        raise ParameterError(f"--format {to!r} must be one of {', '.join([*SAMPLERS, *ENDINGS])}")
     _check_target(to, out, given if fill else given | {"no-fill": True}, force)
     chosen, loaded = parse_keys(keys), load_instrument(built, prefix, even)
     enable_program_cache()
@@ -76,6 +79,12 @@ def export(
         if to == "faust":
             summary = write_faust(out, loaded, chosen, licence=licence, progress=bar)
             words = _faust_summary(summary)
+        elif to == "modal-json":
+            summary = write_modal_json(out, loaded, chosen, licence=licence, progress=bar)
+            words = (
+                f"{counted(summary.keys, 'key')}, {_count_guesses(summary.unrecorded)}; "
+                f"{counted(summary.modes, 'mode')}, {summary.bytes / 1e6:.1f} MB\n"
+            )
         else:
             wanted, sampled = (
                 ExportOptions(kind=SAMPLERS[to].kind)._replace(**given),
@@ -87,17 +96,18 @@ def export(
 
 
 def _check_target(to: str, out: Path, given: dict[str, Any], force: bool) -> None:
-    """Check the name of the output, and reject sampler options for Faust."""
-    name = printable(out)
-    if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
-        raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
-    if to == "faust" and given:
+    """Check the name of the output, and reject sampler options for formats without samples."""
+    name, ending = printable(out), ENDINGS.get(to)
+    if ending is None:
+        if re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
+            raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
+        return
+    if given:
         options = (OPTION_NAMES.get(name, f"--{name}") for name in given)
-        raise ParameterError(f"--format faust has no samples; leave out {', '.join(options)}")
-    if to == "faust":
-        if out.suffix.lower() != ".dsp":
-            raise OutputError(f"{name}: Faust's programs are files; give --out a name that ends in .dsp")
-        check_target(out, force)
+        raise ParameterError(f"--format {to} has no samples; leave out {', '.join(options)}")
+    if out.suffix.lower() != ending:
+        raise OutputError(f"{name}: --format {to} writes a file; give --out a name that ends in {ending}")
+    check_target(out, force)
 
 
 def _sampler_summary(summary: ExportSummary, added: list[int]) -> str:
