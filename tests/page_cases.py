@@ -23,10 +23,10 @@ SCRIPTS = Path(str(files("pianofit.web")))
 # `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
 PROGRAM = """
 import { readFileSync } from "node:fs";
-const names = ["prepare", "contact", "engine", "output", "change", "note", "instrument", "midi", "record"];
+const names = ["prepare", "contact", "free_strings", "release", "engine", "output", "change", "note", "instrument", "midi", "record"];
 const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
 const all = Object.assign({}, ...parts);
-const { BLOCK, Engine, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
+const { BLOCK, Engine, FreeStrings, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
 const { rate, jobs } = JSON.parse(readFileSync(0, "utf8"));
 const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
 const text = (value) => [Buffer.from(JSON.stringify(value)).toString("base64")];
@@ -37,11 +37,15 @@ const songOf = (bytes) => {
     return { error: error.message };
   }
 };
+const sizesOf = (engine) => ({ sounding: engine.sounding, noises: engine.noises.length, history: engine.history.length,
+  pending: engine.resonance.pending.length, atRest: engine.resonance.isAtRest, struck: engine.struck.size,
+  strokes: [...engine.voices.values()].map((voice) => voice.strokes.length + voice.waiting.length) });
 const saved = (instrument, changes, volume) => all.instrumentDocument(instrument, instrument.keys.map((entry) => {
   const own = altered(changes[entry.midi] ?? {});
   return { key: changed(decode(entry), own), changes: own };
 }), volume);
-const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, instrument, volume, song, record }) => {
+const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, instrument, volume, song, record, bridge, most,
+  releases, sizes }) => {
   if (song !== undefined) return text(songOf(song));
   if (record) {
     const past = new Record(record.longest);
@@ -55,16 +59,22 @@ const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, ins
   }
   const engine = new Engine(rate), out = new Output(rate, BLOCK);
   const sound = [0, 1].map(() => new Float64Array(blocks * BLOCK));
-  for (const [midi, entry] of Object.entries(keys)) {
-    const key = decode(entry);
-    engine.setKey(Number(midi), prepare(changes ? changed(key, changes) : key, rate));
+  const decoded = new Map(Object.entries(keys).map(([midi, entry]) =>
+    [Number(midi), changes ? changed(decode(entry), changes) : decode(entry)]));
+  for (const [midi, key] of decoded) engine.setKey(midi, prepare(key, rate));
+  if (bridge) {
+    const free = new FreeStrings(decoded, bridge, rate, most);
+    engine.setStrings(free.data);
+    for (const midi of decoded.keys()) engine.setResponse(midi, free.response(midi));
   }
+  if (releases) engine.setReleases(all.releaseNoises(all.decodeReleases(releases), decoded.keys(), rate));
   for (let i = 0; i < blocks; i++) {
     for (const [block, what, ...value] of events) if (block === i) engine[what](...value);
     const here = sound.map((x) => x.subarray(i * BLOCK, (i + 1) * BLOCK));
     engine.render(...here);
     if (output) out.pass(here).forEach((x, c) => here[c].set(x));
   }
+  if (sizes) return text(sizesOf(engine));
   return wav ? [base64(encodeWav(sound, rate))] : sound.map(base64);
 });
 console.log(JSON.stringify(played));

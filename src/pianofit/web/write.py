@@ -19,8 +19,12 @@ SCRIPT_BYTES = 135_000
 ENGINE = (
     "signal.js",
     "contact.js",
-    "engine.js",
+    "pedals.js",
     "prepare.js",
+    "free_strings.js",
+    "resonance.js",
+    "release.js",
+    "engine.js",
     "output.js",
     "change.js",
     "note.js",
