@@ -307,7 +307,7 @@ def test_a_dropped_song_plays_and_what_was_played_is_saved(page, tmp_path):
     song = load_song(files["piano.mid"])
     assert [[velocity for _, velocity in song.keys[key]] for key in (64, 67)] == [[80, 0], [96, 0]]
     assert song.keys[67][0][0] == pytest.approx(1.0, abs=0.002)
-    assert [down for _, down in song.pedal] == [1, 0]
+    assert [value for _, value in song.pedal] == [127, 0]
     assert np.abs(sf.read(files["piano.wav"])[0]).max() > 1e-3
 
 

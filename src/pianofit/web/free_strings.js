@@ -9,12 +9,13 @@ import { fft } from "./signal.js";
 
 const HIGHEST_FREE = 5000; // Hz, highest frequency of a free mode
 const LEAST_STRIKE = 0.1; // smallest strike weight of a partial
+const CERTAIN_SIGN = 1e-9; // strike weight whose sign does not depend on rounding errors
 export const TAPER = 2 * Math.PI * 45; // rad/s, difference of frequencies beyond which only strokes couple modes
 const MOST_BRIDGE_SHARE = 0.95; // of its loss that a partial can give to the bridge
 const KNOCK_PADDING = 4; // zero padding of the transform of a knock
 const KNOCK_LEAD = 0.012; // s from the begin of a knock to the contact
 // Most free modes, so that the audio thread has room for strokes. The quietest others are left out.
-export const MOST_FREE = 8000;
+export const MOST_FREE = 5000;
 
 /** Complex zeros. */
 export const zeros = (count) => ({ re: new Float64Array(count), im: new Float64Array(count) });
@@ -71,7 +72,7 @@ export function freeString(key, rate, bridge) {
   const limited = (k, i) => share[k] * rates[i] * Math.min(1, MOST_BRIDGE_SHARE / Math.max(taken[i], 1e-300));
   // States of measured modes are impulses, N s, and excite amplitudes along -j.
   const size = (k) => -Math.sqrt(share[k]) * unison;
-  const clear = (k) => (weight(k) < 0 ? -1 : 1) * Math.max(Math.abs(weight(k)), LEAST_STRIKE);
+  const clear = (k) => (weight(k) < -CERTAIN_SIGN ? -1 : 1) * Math.max(Math.abs(weight(k)), LEAST_STRIKE);
   const state = perState ? { re: column((k) => perState.re[k]), im: column((k) => perState.im[k]) }
     : { re: new Float64Array(chosen.length), im: column((k) => size(k) * clear(k)) };
   const sound = pattern.map((g) => {

@@ -19,7 +19,9 @@ const NOTHING = 1e-20; // root of energy, √J, that counts as zero
 const FORCE_SPACING = 20; // Hz, between the frequencies of the transform of a force
 const FORCE_END = 5000 + 2 * FORCE_SPACING; // Hz, the last of them
 
-/** A force as an impulse per sample, N s, and its transform at multiples of `FORCE_SPACING` about its centre, s. */
+/**
+ * Transform of a force, N s, at multiples of `FORCE_SPACING` about its centre, which is in samples at the reduced rate.
+ */
 class ForceSpectrum {
   constructor(force, first, last, step, ratio) {
     const count = Math.ceil((last + 1 - first) / ratio), samples = new Float64Array(count);
@@ -29,10 +31,11 @@ class ForceSpectrum {
       total += force[n];
       moment += force[n] * n * step;
     }
-    this.centre = moment / Math.max(total, 1e-300);
+    const sample = RATIO * ratio * step; // s, at the reduced rate
+    this.centre = Math.round(moment / Math.max(total, 1e-300) / sample);
     const bins = Math.ceil(FORCE_END / FORCE_SPACING) + 1;
     Object.assign(this, zeros(bins));
-    const begin = (first + (ratio - 1) / 2) * step - this.centre, width = ratio * step;
+    const begin = (first + (ratio - 1) / 2) * step - this.centre * sample, width = ratio * step;
     for (let k = 0; k < bins; k++) {
       const omega = 2 * Math.PI * FORCE_SPACING * k, c = Math.cos(omega * width), s = -Math.sin(omega * width);
       const narrow = Math.sin((omega * step) / 2); // within a sample the force is nearly constant
@@ -41,9 +44,12 @@ class ForceSpectrum {
       for (let n = 0; n < count; n++) {
         re += samples[n] * x;
         im += samples[n] * y;
-        [x, y] = [x * c - y * s, x * s + y * c];
+        const turned = x * c - y * s;
+        y = x * s + y * c;
+        x = turned;
       }
-      [this.re[k], this.im[k]] = [re, im];
+      this.re[k] = re;
+      this.im[k] = im;
     }
   }
 }
@@ -58,7 +64,11 @@ export class Resonance {
     this.omega = pole.im.map((x) => x / TAPER);
     this.freeHalf = expPole(pole, this.seconds / 2);
     this.half = { re: this.freeHalf.re.slice(), im: this.freeHalf.im.slice() };
+    const place = pole.im.map((x) => x / (2 * Math.PI * FORCE_SPACING)); // in the transform of a force
+    this.bin = Int32Array.from(place, Math.floor);
+    this.part = place.map((x, k) => x - this.bin[k]);
     [this.turn, this.z] = [this.seconds, reduced].map((t) => expPole(pole, t));
+    this.powers = [this.z]; // z, z², z⁴, ...
     const delay = expPole(pole, REACH * reduced), times = (g, part, other, sign) =>
       g[part].map((x, k) => x * delay.re[k] + sign * g[other][k] * delay.im[k]);
     this.sound = strings.sound.map((g) => ({ re: times(g, "re", "im", -1), im: times(g, "im", "re", 1) }));
@@ -98,7 +108,13 @@ export class Resonance {
     this._setContacts(contacts);
     const areMet = contacts.reduce((count, x, i) => count + (x < 1 || !this.hasDamper[i]), 0) > 1;
     if (!this.isAtRest) this._step(areMet && this.isOn);
-    for (const stroke of this.pending) this._take(stroke, block, areMet && this.isOn);
+    for (const x of [this.first.re, this.first.im]) x.fill(0);
+    const hasStroke = this.pending.filter((stroke) => this._take(stroke, block, areMet && this.isOn)).length > 0;
+    if (hasStroke && areMet && this.isOn) {
+      // The exchange during the rest of this hop, to first order.
+      this._exchange(this.first, this.second);
+      addScaled(this.added, -1, this.second, this.count);
+    }
     this.pending = this.pending.filter(({ contact, taken }) => !contact.isOver || taken <= contact.last);
     this._setSound();
   }
@@ -167,47 +183,60 @@ export class Resonance {
     }
   }
 
-  /** Take over the state of a struck key whose hammer is off the string at the begin of `block`. */
+  /**
+   * Take over the state of a struck key whose hammer is off the string at the begin of `block`; return whether it is.
+   * `first` gets what this adds to its amplitudes, times the time since the touch.
+   */
   _take(stroke, block, areMet) {
     const { contact, voice, midi, taken } = stroke, { ratio, step } = voice.table.string, { last } = contact;
-    const end = stroke.touch + (last + 1) / ratio / BLOCK;
-    const isPressing = !contact.isOver && last + 1 >= contact.steps;
-    if (last < taken || end > block || isPressing) return;
+    const end = stroke.touch + (last + 1) / ratio / BLOCK, isPressing = !contact.isOver && last + 1 >= contact.steps;
+    if (last < taken || end > block || isPressing) return false;
     const { alone, strings, first } = this, since = ((block - stroke.touch) * BLOCK) / this.rate;
     const { modes, chosen } = strings.ofKey.get(midi) ?? { modes: [], chosen: [] }, { perState } = strings;
-    first.re.fill(0);
-    first.im.fill(0);
     for (let i = 0; i < modes.length; i++) {
       const k = modes[i], x = voice.modes.re[chosen[i]], y = voice.modes.im[chosen[i]];
       const re = perState.re[k] * x - perState.im[k] * y, im = perState.re[k] * y + perState.im[k] * x;
-      [first.re[k], first.im[k]] = [re - alone.re[k], im - alone.im[k]];
-      [alone.re[k], alone.im[k]] = [re, im];
+      first.re[k] += since * (re - alone.re[k]);
+      first.im[k] += since * (im - alone.im[k]);
+      alone.re[k] = re;
+      alone.im[k] = im;
     }
     stroke.taken = last + 1;
     this.isAtRest = false;
-    if (!areMet) return;
     const response = this.responses.get(midi);
-    if (response) this._excite(response, new ForceSpectrum(contact.force, taken, last, step, ratio), since, stroke);
-    // The exchange during the rest of this hop, to first order.
-    this._exchange(first, this.second);
-    addScaled(this.added, -since, this.second, this.count);
+    if (areMet && response) {
+      this._excite(response, new ForceSpectrum(contact.force, taken, last, step, ratio), since, stroke);
+    }
+    return true;
   }
 
   /** Add the amplitudes that a force leaves on modes far from those of its key, `since` s after the touch. */
-  _excite(response, spectrum, since, { velocityFactor, voice }) {
-    const { added, lift, strings, contact } = this, { pole, damping, key } = strings, free = since - spectrum.centre;
+  _excite({ re, im }, spectrum, since, { velocityFactor, voice }) {
+    const { added, lift, strings, contact, bin, part, count } = this, { pole, damping, key } = strings;
+    const { re: a, im: b } = spectrum, { re: addedRe, im: addedIm } = added;
+    const turn = this._turnBy(Math.round((since * this.rate) / RATIO) - spectrum.centre);
     const gain = velocityFactor ? sizesAt(velocityFactor, voice.table.response.pole.im) : null;
-    for (let k = 0; k < this.count; k++) {
+    for (let k = 0; k < count; k++) {
       if (lift[k] === 0) continue;
-      const place = pole.im[k] / (2 * Math.PI * FORCE_SPACING), bin = Math.floor(place), part = place - bin;
-      const a = spectrum.re[bin] + part * (spectrum.re[bin + 1] - spectrum.re[bin]);
-      const b = spectrum.im[bin] + part * (spectrum.im[bin + 1] - spectrum.im[bin]);
-      const c = response.re[k] * a - response.im[k] * b, d = response.re[k] * b + response.im[k] * a;
-      const size = lift[k] * Math.exp(pole.re[k] * free - contact[key[k]] * damping[k] * since) * (gain ? gain(pole.im[k]) : 1);
-      const x = size * Math.cos(pole.im[k] * free), y = size * Math.sin(pole.im[k] * free);
-      added.re[k] += x * c - y * d;
-      added.im[k] += x * d + y * c;
+      const n = bin[k], f = a[n] + part[k] * (a[n + 1] - a[n]), g = b[n] + part[k] * (b[n + 1] - b[n]);
+      const c = re[k] * f - im[k] * g, d = re[k] * g + im[k] * f, x = turn.re[k], y = turn.im[k];
+      let size = gain ? lift[k] * gain(pole.im[k]) : lift[k];
+      if (contact[key[k]] > 0) size *= Math.exp(-contact[key[k]] * damping[k] * since);
+      addedRe[k] += size * (x * c - y * d);
+      addedIm[k] += size * (x * d + y * c);
     }
+  }
+
+  /** Factors by which free modes change over `samples` at the reduced rate. */
+  _turnBy(samples) {
+    const out = this.second, { powers, count } = this;
+    out.re.fill(1);
+    out.im.fill(0);
+    for (let i = 0, rest = Math.abs(samples); rest; i++, rest >>= 1) {
+      if (i === powers.length) powers.push(squared(powers[i - 1]));
+      if (rest & 1) turned(out, powers[i], count);
+    }
+    return out;
   }
 
   /** Set the sound of the hop that begins now: each amplitude goes from its value at the last hop to that of now. */
@@ -306,6 +335,10 @@ function turned({ re, im }, { re: c, im: s }, count) {
     re[k] = x * c[k] - y * s[k];
     im[k] = x * s[k] + y * c[k];
   }
+}
+
+function squared({ re, im }) {
+  return { re: re.map((x, k) => x * x - im[k] * im[k]), im: re.map((x, k) => 2 * x * im[k]) };
 }
 
 function summed({ re, im }, { re: a, im: b }, { re: c, im: d }, count) {
