@@ -14,8 +14,9 @@ export const TAPER = 2 * Math.PI * 45; // rad/s, difference of frequencies beyon
 const MOST_BRIDGE_SHARE = 0.95; // of its loss that a partial can give to the bridge
 const KNOCK_PADDING = 4; // zero padding of the transform of a knock
 const KNOCK_LEAD = 0.012; // s from the begin of a knock to the contact
-// Most free modes, so that the audio thread has room for strokes. The quietest others are left out.
-export const MOST_FREE = 5000;
+// Most free modes, so that the audio thread has room for strokes. A piano with two modes a partial has 5,300.
+export const MOST_FREE = 6000;
+const HAMMER_CORNER = 2 * Math.PI * 1000; // rad/s, above which the force of a hammer falls by 12 dB an octave
 
 /** Complex zeros. */
 export const zeros = (count) => ({ re: new Float64Array(count), im: new Float64Array(count) });
@@ -86,12 +87,17 @@ export function freeString(key, rate, bridge) {
     perImpulse: column((k) => size(k) * weight(k)), sound, damping: dampingRates(key.damper, chosenPole) };
 }
 
-/** The loudest modes of all keys: order of [key, mode] by frequency. Loudness: of the sound after a push of the bridge. */
+/** Modes that strokes make the loudest, in order of frequency: key `i`, mode `k` of the key. */
 function keptModes(strings, most) {
-  const all = strings.flatMap((s, i) => Array.from(s.chosen, (_, k) => ({ i, k, omega: s.pole.im[k], loud:
-    (s.drive[k] ** 2 * s.sound.reduce((sum, g) => sum + g.re[k] ** 2 + g.im[k] ** 2, 0)) / -s.pole.re[k] })));
+  const all = strings.flatMap((s, i) => Array.from(s.chosen, (_, k) => ({ i, k, omega: s.pole.im[k], loud: loudness(s, k) })));
   if (all.length > most) all.sort((a, b) => b.loud - a.loud).length = most;
   return all.sort((a, b) => a.omega - b.omega);
+}
+
+/** Squared amplitude of the sound of a mode after a stroke on another key. */
+function loudness({ sound, drive, pole }, k) {
+  const power = sound.reduce((sum, g) => sum + g.re[k] ** 2 + g.im[k] ** 2, 0);
+  return (drive[k] ** 2 * power) / (1 + (pole.im[k] / HAMMER_CORNER) ** 4);
 }
 
 /** Modes of all keys in ascending order of frequency. */
