@@ -66,7 +66,9 @@ def drawn(seconds: float, rate: float, keys: list[int], seed: int, controllers: 
         return song
     from page_cases import CONTROLLERS, walk
 
-    return song._replace(**{name: walk(seed + i, MOTION * (i + 1), seconds) for i, name in enumerate(CONTROLLERS.values())})
+    return song._replace(
+        **{name: walk(seed + i, MOTION * (i + 1), seconds) for i, name in enumerate(CONTROLLERS.values())}
+    )
 
 
 def by_page(instrument: Instrument, song: Song, whole: bool, most: int) -> np.ndarray:
@@ -76,7 +78,7 @@ def by_page(instrument: Instrument, song: Song, whole: bool, most: int) -> np.nd
     from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES
 
     room = 10**9 if whole else PAGE_BYTES - SCRIPT_BYTES
-    (sound,) = play([page_job(instrument, song, most_bytes=room, **({"most": most} if most else {}))])
+    (sound,) = play([page_job(instrument, song, True, room, **({"most": most} if most else {}))])
     return sound[:, max(early(key.note) for key in instrument.keys.values()) :]
 
 

@@ -6,8 +6,8 @@ import base64
 import json
 import shutil
 import subprocess
-from importlib.resources import files
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +26,12 @@ STEP = BLOCK / RATE  # s, between times at which events take effect
 CONTROLLERS = {64: "pedal", 66: "sostenuto", 67: "una_corda"}
 SCRIPTS = Path(str(files("pianofit.web")))
 # Reads {rate, jobs: [{keys, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels. Jobs with
-# `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
+# `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written. With
+# `bridge` free strings resonate, at most `most` modes. With `sizes` the result is the size of the engine's state.
 PROGRAM = """
 import { readFileSync } from "node:fs";
-const names = ["prepare", "contact", "free_strings", "release", "engine", "output", "change", "note", "instrument", "midi", "record"];
+const names = ["prepare", "contact", "free_strings", "release", "engine", "output", "change", "note", "instrument",
+  "midi", "record"];
 const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
 const all = Object.assign({}, ...parts);
 const { BLOCK, Engine, FreeStrings, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
@@ -53,8 +55,9 @@ const saved = (instrument, changes, volume) => {
     return { key: changed(decode(entry), own), changes: own };
   }), volume);
 };
-const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, instrument, volume, song, record, bridge, most,
-  releases, sizes }) => {
+const played = jobs.map((job) => {
+  const { keys, changes, events, blocks, output, wav, note, instrument, volume, song, record } = job;
+  const { bridge, most, releases, sizes } = job;
   if (song !== undefined) return text(songOf(song));
   if (record) {
     const past = new Record(record.longest);
@@ -154,9 +157,7 @@ def walk(seed: int, step: float, seconds: float) -> list[tuple[float, int]]:
     return moves
 
 
-def page_job(
-    piano: Instrument, song: Song, resonance: bool = True, most_bytes: int = 10**9, **more: object
-) -> dict:
+def page_job(piano: Instrument, song: Song, resonance: bool = True, most_bytes: int = 10**9, **more: object) -> dict:
     """Payload and events of a song for the page's engine."""
     document, _ = encode_instrument(piano, most_bytes)
     rows: list[tuple[float, int, Sequence[object]]] = []

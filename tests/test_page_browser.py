@@ -4,89 +4,24 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import notes_of, piano_of, true_instrument, uneven_note
+from instrument_cases import true_instrument
+from page_browser_cases import CHROMIUM, LISTEN, at, sounding
 from page_cases import ringing_note
 
 from pianofit.instrument import load_instrument
 from pianofit.playback import load_song
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
-from pianofit.web import write_playable_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
 if not Path(CHROMIUM).exists():
     pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
-ARGUMENTS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
-WINDOW = 32768  # samples of an analyser: 0.7 s
-
-# An analyser after the engine holds the last samples; `lastSamples` returns them.
-LISTEN = f"""() => {{
-  const {{ player }} = window.pianofitKeyboard;
-  const analyser = new AnalyserNode(player.context, {{ fftSize: {WINDOW} }});
-  player.node.connect(analyser);
-  window.lastSamples = () => {{
-    const samples = new Float32Array({WINDOW});
-    analyser.getFloatTimeDomainData(samples);
-    return Array.from(samples);
-  }};
-}}"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    notes = notes_of(true_instrument(range(48, 73))) | {60: uneven_note(60), 64: ringing_note(64)}
-    piano = piano_of(notes, recorded=(60, 64), name="</script>'\"")
-    path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
-    values = {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.0, (1.9, 2.2))}
-    write_playable_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
-    return path
-
-
-@pytest.fixture
-def page(browser, written):
-    """The open page, which must make no requests and log nothing."""
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    complaints, requests = [], []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("request", lambda request: requests.append(request.url))
-    page.goto(written.as_uri())
-    page.wait_for_function("() => Boolean(window.pianofitKeyboard)")
-    yield page
-    page.close()
-    assert complaints == []
-    elsewhere = [url for url in requests if not url.startswith(("blob:", "data:"))]
-    assert elsewhere == [written.as_uri()]
-
-
-def sounding(page, count):
-    page.wait_for_function("n => window.pianofitKeyboard.player.sounding === n", arg=count, timeout=60_000)
-
-
-def at(page, midi):
-    key = page.locator(f'.key[data-midi="{midi}"]')
-    key.scroll_into_view_if_needed()
-    box = key.bounding_box()
-    return box["x"] + box["width"] / 2, box["y"] + 0.9 * box["height"]
+pytest_plugins = ("page_browser_cases",)
 
 
 def test_a_pressed_key_sounds_and_is_damped(page):
@@ -173,58 +108,6 @@ def test_a_midi_keyboard_plays_with_velocity_and_pedal(page):
     assert speeds[1:] == pytest.approx([1.3 * np.exp(1.5 * (velocity - 64) / 63) for velocity in (20, 120)])
     page.evaluate(send, [[0xB0, 64, 0], [0x90, 20, 64]])  # a key that the instrument does not have does nothing
     sounding(page, 0)
-
-
-def test_pedals_move_on_screen_by_letters_and_by_midi(page):
-    values = "() => [64, 66, 67].map((it) => window.pianofitKeyboard.player.pedals.get(it) ?? 0)"
-    pressed = lambda: [page.locator(it).get_attribute("aria-pressed") for it in ("#pedal", "#sostenuto", "#soft")]  # noqa: E731
-    page.keyboard.press("KeyC")
-    page.locator("#sostenuto").click()
-    assert page.evaluate(values) == [0, 127, 127]
-    page.keyboard.press("KeyV")
-    page.locator("#half").focus()
-    page.keyboard.press("PageUp")
-    value = page.evaluate(values)[0]
-    assert 0 < value < 64
-    assert (pressed(), page.evaluate(values)[1:]) == (["mixed", "false", "true"], [0, 127])
-    page.evaluate("() => window.pianofitKeyboard._message([0xb0, 64, 50])")
-    assert page.locator("#half").get_attribute("aria-valuetext") == "50, dampers half"
-    page.locator("#range-high").fill("40")
-    page.locator("#range-high").press("Enter")
-    assert page.locator("#half-words").inner_text() == "50, dampers up"
-    page.locator("#range-low").fill("90")  # above the other end
-    page.locator("#range-low").press("Enter")
-    assert page.evaluate("() => window.pianofitKeyboard.player.range") == {"low": 24, "high": 40}
-    page.keyboard.press("Escape")
-    page.locator("#half").press("Escape")
-    assert page.evaluate(values) == [0, 0, 0]
-    names = [page.get_by_role(role, name=name) for role, name in (("group", "Pedals"), ("slider", "Right pedal"))]
-    assert [it.count() for it in names] == [1, 1]
-
-
-def test_a_held_key_resonates_unless_it_is_switched_off(page):
-    """C3 is held silently, and C4, which its second partial meets, is struck and let go."""
-    page.wait_for_function("() => document.getElementById('loading').hidden")
-    level = """async () => {
-      const keys = window.pianofitKeyboard, { player } = keys, pause = (ms) => new Promise((go) => setTimeout(go, ms));
-      await keys.play(48, 1);
-      await pause(100);
-      await keys.play(60, 120);
-      await pause(400);
-      keys.release(60);
-      await pause(1100);
-      const samples = window.lastSamples(), power = samples.reduce((sum, x) => sum + x * x, 0) / samples.length;
-      keys.panic();
-      await pause(300);
-      return 10 * Math.log10(power + 1e-30);
-    }"""
-    page.mouse.click(*at(page, 72))
-    page.wait_for_function("() => Boolean(window.pianofitKeyboard.player.context)")
-    page.evaluate(LISTEN)
-    page.wait_for_timeout(2000)  # responses are sent with pauses
-    on = page.evaluate(level)
-    page.locator("#resonance").uncheck()
-    assert on > page.evaluate(level) + 3
 
 
 def test_a_slider_changes_one_key_or_all_and_is_taken_back(page):

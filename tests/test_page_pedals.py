@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from instrument_cases import piano_of, rung, true_note
 from page_cases import (
-    BLOCK,
     CONTROLLERS,
     RATE,
     STEP,
@@ -144,7 +143,15 @@ def test_a_thousand_bars_of_controllers_do_not_let_the_state_grow():
     few = replace(PIANO, keys={key: PIANO.keys[key] for key in (48, 60, 72)})
     ((text,),) = run([page_job(few, song, sizes=True)])
     sizes = json.loads(text)
-    assert sizes == {"sounding": 0, "noises": 0, "history": 7, "pending": 0, "atRest": True, "struck": 0, "strokes": [0]}
+    assert sizes == {
+        "sounding": 0,
+        "noises": 0,
+        "history": 7,
+        "pending": 0,
+        "atRest": True,
+        "struck": 0,
+        "strokes": [0],
+    }
 
 
 def test_the_loudest_modes_are_kept():

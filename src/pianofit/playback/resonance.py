@@ -181,7 +181,7 @@ def _hop_window(pole: np.ndarray, reduced: int, rate: float) -> np.ndarray:
     """Sound of a unit real and imaginary amplitude [modes, 2, 2 reduced], from `RESAMPLING_REACH` samples on."""
     sample = np.arange(2 * reduced)
     turn = np.exp(np.outer(pole, (sample + RESAMPLING_REACH) / rate)) * (1 - np.abs(sample / reduced - 1))
-    return np.stack([turn.real, -turn.imag], axis=1)
+    return np.stack([np.real(turn), -np.imag(turn)], axis=1)
 
 
 def _overlap_add(out: np.ndarray, pieces: np.ndarray, reduced: int) -> None:
