@@ -21,7 +21,7 @@ from pianofit.schema.notes import load_note
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 if not Path(CHROMIUM).exists():
     pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
-pytest_plugins = ("page_browser_cases",)
+pytest_plugins = ("page_browser_fixtures",)
 
 
 def test_a_pressed_key_sounds_and_is_damped(page):

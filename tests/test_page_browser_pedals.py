@@ -10,7 +10,7 @@ from page_browser_cases import CHROMIUM, LISTEN, at
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 if not Path(CHROMIUM).exists():
     pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
-pytest_plugins = ("page_browser_cases",)
+pytest_plugins = ("page_browser_fixtures",)
 
 
 def test_pedals_move_on_screen_by_letters_and_by_midi(page):

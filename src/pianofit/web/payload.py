@@ -199,7 +199,7 @@ def _modal_response(response: ModalResponse, knocks: KnockEncoding) -> dict[str,
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
     knock, rate = _reduced(response.knock[:CHANNELS], response.rate, knocks)
     return {
-        "partial": _base64(response.partial, "<u2"),
+        "partial": _base64(response.partial, "<u1" if response.partial.max(initial=0) < 256 else "<u2"),
         "decay": _base64(-np.real(response.pole)),
         "omega": _base64(np.imag(response.pole), "<f8"),
         "modal_amplitudes": _rows(response.pattern[:CHANNELS]),

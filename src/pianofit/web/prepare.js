@@ -59,8 +59,9 @@ export function decode(entry) {
 function decodeResponse({ partial, decay, omega, modal_amplitudes, velocity_gain, knock, bits, rate }) {
   const pair = (column) => ({ re, im }) => ({ re: column(re), im: column(im) });
   const gain = (text) => numbers(text, Int16Array).map((x) => x * velocity_gain.scale);
+  const count = numbers(decay).length, kind = atob(partial).length === count ? Uint8Array : Uint16Array;
   return {
-    partial: numbers(partial, Uint16Array),
+    partial: numbers(partial, kind),
     pole: { re: numbers(decay).map((x) => -x), im: numbers(omega, Float64Array) },
     modal_amplitudes: modal_amplitudes.map(pair(numbers)),
     velocity_gain: velocity_gain && { velocity: velocity_gain.velocity, strokes: velocity_gain.strokes.map(pair(gain)) },
