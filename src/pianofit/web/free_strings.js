@@ -15,7 +15,7 @@ const MOST_BRIDGE_SHARE = 0.95; // of its loss that a partial can give to the br
 const KNOCK_PADDING = 4; // zero padding of the transform of a knock
 const KNOCK_LEAD = 0.012; // s from the begin of a knock to the contact
 // Most free modes, so that the audio thread has room for strokes. A piano with two modes a partial has 5,300.
-export const MOST_FREE = 6000;
+export const MOST_FREE = 7000;
 const HAMMER_CORNER = 2 * Math.PI * 1000; // rad/s, above which the force of a hammer falls by 12 dB an octave
 
 /** Complex zeros. */

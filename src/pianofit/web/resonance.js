@@ -116,7 +116,7 @@ export class Resonance {
       addScaled(this.added, -1, this.second, this.count);
     }
     this.pending = this.pending.filter(({ contact, taken }) => !contact.isOver || taken <= contact.last);
-    this._setSound();
+    if (!this.isAtRest || this.isAudible) this._setSound();
   }
 
   _setContacts(contacts) {
