@@ -1,6 +1,7 @@
 """How much of the time that it has the page's engine takes, under node: strings that ring, and the contacts of strokes.
 
     python benchmarks/page.py [--voices 32] [--modes 200]
+    python benchmarks/page.py --free            free strings: all 88 keys of `rung_piano.py`, pedal down
     python benchmarks/page.py --open            a page of 88 keys, in chromium: size, time to the first sound, memory
 
 Played are keys of so many measured modes, keys that ring by their law, and those of `rung_piano.py`, all of whose keys
@@ -28,8 +29,10 @@ import rung_piano
 from pianofit.literature import typical
 from pianofit.model.modal_response import ModalResponse
 from pianofit.model.note import Note
+from pianofit.schema.bridge import BridgeAdmittance
+from pianofit.schema.decode import builtins_of
 from pianofit.web import write_playable_page
-from pianofit.web.payload import encode_note
+from pianofit.web.payload import KNOCK_ENCODINGS, encode_note
 
 PROGRAM = """
 import { readFileSync } from "node:fs";
@@ -58,6 +61,44 @@ for (let run = 0; run < runs; run++) {
   if (sounding !== tables.length) throw new Error(`${sounding} strings sound`);
 }
 console.log(JSON.stringify(best));
+"""
+# The same with free strings: shares of the time, and times of the precomputation in ms.
+FREE_PROGRAM = """
+import { readFileSync } from "node:fs";
+const { decode, prepare } = await import(process.argv[1] + "/prepare.js");
+const { BLOCK } = await import(process.argv[1] + "/contact.js");
+const { FreeStrings } = await import(process.argv[1] + "/free_strings.js");
+const { Engine } = await import(process.argv[1] + "/engine.js");
+const { keys, runs, bridge, most } = JSON.parse(readFileSync(0, "utf8")), rate = 48000, budget = (1e3 * BLOCK) / rate;
+const time = (act) => {
+  const begin = process.cpuUsage(), result = act(), { user, system } = process.cpuUsage(begin);
+  return [(user + system) / 1e3, result];
+};
+const decoded = new Map(keys.map((entry) => [entry.midi, decode(entry)])), least = {};
+const [joined, free] = time(() => new FreeStrings(decoded, bridge, rate, most));
+const [answered, responses] = time(() => new Map([...decoded.keys()].map((midi) => [midi, free.response(midi)])));
+const tables = new Map([...decoded].map(([midi, key]) => [midi, prepare(key, rate)]));
+const block = [0, 1].map(() => new Float64Array(BLOCK));
+for (let run = 0; run < 2 * runs; run++) {
+  const engine = new Engine(rate), name = run % 2 ? "free" : "alone";
+  for (const [midi, table] of tables) engine.setKey(midi, table);
+  if (run % 2) engine.setStrings(free.data);
+  if (run % 2) for (const [midi, response] of responses) engine.setResponse(midi, response);
+  engine.control(64, 127);
+  for (const midi of [36, 48, 60, 64]) engine.noteOn(midi, 3);
+  const part = (count) => time(() => { for (let i = 0; i < count; i++) engine.render(...block); })[0] / count / budget;
+  part(200);
+  least[name] = Math.min(least[name] ?? Infinity, part(400));
+  if (name === "alone") continue;
+  engine.noteOn(55, 3);
+  part(10);
+  const voice = engine.voices.get(55), [{ contact, velocityFactor }] = voice.strokes;
+  const { blocks, resonance } = engine, touch = blocks - 12;
+  const stroke = () => resonance._take({ midi: 55, voice, contact, velocityFactor, touch, taken: 0 }, blocks, true);
+  least.stroke = Math.min(least.stroke ?? Infinity, time(() => { for (let i = 0; i < 50; i++) stroke(); })[0] / 50);
+}
+const { drive } = free.data, { dropped } = free.data;
+console.log(JSON.stringify({ ...least, joined, answered, modes: drive.length, dropped }));
 """
 # In the page: seconds from the navigation until there are keys, and until a key that is then struck is heard.
 FIRST_SOUND = """async () => {
@@ -96,6 +137,21 @@ def by_law(midi: int, _: int) -> Note:
 def by_fit(midi: int, _: int) -> Note:
     """A key as a fit of five stereo layers leaves it."""
     return rung_piano.rung(midi)
+
+
+def free_strings(runs: int, most: int) -> None:
+    """Measure what the free strings cost, and print."""
+    keys = [{"midi": midi, **encode_note(rung_piano.rung(midi), midi, KNOCK_ENCODINGS[-2])} for midi in range(21, 109)]
+    given = {"keys": keys, "runs": runs, "bridge": builtins_of(BridgeAdmittance()), **({"most": most} if most else {})}
+    command = ["node", "--input-type=module", "-e", FREE_PROGRAM, str(Path(str(files("pianofit.web"))))]
+    done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, check=True)
+    part = json.loads(done.stdout)
+    print(
+        f"{part['modes']} free modes ({part['dropped']} dropped), four keys struck under the pedal: "
+        f"{100 * (part['free'] - part['alone']):.0f} % of the time, beside {100 * part['alone']:.0f} % for the keys; "
+        f"a stroke {part['stroke']:.2f} ms; "
+        f"before playing {part['joined']:.0f} ms, and {part['answered'] / len(keys):.1f} ms a key"
+    )
 
 
 def opened(runs: int) -> None:
@@ -150,10 +206,15 @@ def main() -> None:
     options.add_argument("--voices", type=int, default=32)
     options.add_argument("--modes", type=int, default=200)
     options.add_argument("--runs", type=int, default=8)
+    options.add_argument("--free", action="store_true", help="free strings under the pedal")
+    options.add_argument("--most", type=int, default=0, help="free modes, if not the page's own number")
     options.add_argument("--open", action="store_true", help="a page of 88 keys in chromium instead")
     asked = options.parse_args()
     if asked.open:
         opened(asked.runs)
+        return
+    if asked.free:
+        free_strings(asked.runs, asked.most)
         return
     node = shutil.which("node")
     if node is None:

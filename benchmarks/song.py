@@ -2,6 +2,7 @@
 
     python benchmarks/song.py [INSTRUMENT.JSON]                two minutes, ten notes a second
     python benchmarks/song.py [INSTRUMENT.JSON] --page         and the page's engine, under node, beside them
+    python benchmarks/song.py --page --controllers             with all three pedals in continuous motion
 
 Without an instrument it is that of `rung_piano.py`, whose 88 keys ring by some hundred modes and a knock in stereo.
 The piece is drawn by --seed: notes over seven octaves at all velocities, held for 0.1 to 2 s, with a pedal that is
@@ -34,12 +35,14 @@ SHORTEST, LONGEST = 0.1, 2.0  # of notes, s
 # Of a key, s: a stroke within the last one's contact would wait, here for its end and there for the block after it.
 APART = 0.1
 PEDAL = 2.0  # between its movements, s
+# Between movements of a controller with --controllers, s.
+MOTION = 0.05
 # So quiet that nothing is limited.
-QUIET = 1e-2
+QUIET = 0.1
 
 
-def drawn(seconds: float, rate: float, keys: list[int], seed: int) -> Song:
-    """A piece of so many notes a second."""
+def drawn(seconds: float, rate: float, keys: list[int], seed: int, controllers: bool = False) -> Song:
+    """A piece of so many notes a second. `controllers`: all pedals move continuously."""
     random = np.random.default_rng(seed)
 
     def on_block(t: float) -> float:
@@ -57,31 +60,25 @@ def drawn(seconds: float, rate: float, keys: list[int], seed: int) -> Song:
             before[-1] = first, on_block(begin - APART / 2), force
         before.append((begin, end, velocity))
     events = {k: [e for a, b, v in each for e in ((a, v), (b, 0))] for k, each in notes.items()}
-    pedal = [(on_block(t), i % 2 == 0) for i, t in enumerate(np.arange(0.0, seconds, PEDAL))]
-    return Song(events, pedal, seconds, sum(map(len, notes.values())))
+    pedal = [(on_block(t), 127 * (i % 2 == 0)) for i, t in enumerate(np.arange(0.0, seconds, PEDAL))]
+    song = Song(events, pedal, seconds, sum(map(len, notes.values())))
+    if not controllers:
+        return song
+    from page_cases import CONTROLLERS, walk
+
+    return song._replace(
+        **{name: walk(seed + i, MOTION * (i + 1), seconds) for i, name in enumerate(CONTROLLERS.values())}
+    )
 
 
-def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
+def by_page(instrument: Instrument, song: Song, whole: bool, most: int) -> np.ndarray:
     """What the page's engine makes of it [2, samples], with knocks as they are or as the page holds them."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from page_cases import early, play
+    from page_cases import early, page_job, play
 
-    from pianofit.web.payload import KNOCK_ENCODINGS, encode_instrument, encode_note
     from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES
 
-    knocks = (
-        KNOCK_ENCODINGS[0]
-        if whole
-        else encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)[1] or KNOCK_ENCODINGS[0]
-    )
-    rows: list[tuple] = [(t, 0, "setPedal", down) for t, down in song.pedal]
-    for key, events in song.keys.items():
-        for t, v in events:
-            note = instrument.note(key, v or 1)
-            rows.append((t, 1, "noteOn", key, note.hammer.v_H0) if v else (t, 0, "noteOff", key))
-    events = [[round(t * RATE / BLOCK), what, *value] for t, _, what, *value in sorted(rows, key=lambda row: row[:2])]
-    keys = {key: encode_note(instrument.keys[key].note, key, knocks) for key in song.keys}
-    (sound,) = play([{"keys": keys, "events": events, "blocks": round(song.seconds * RATE / BLOCK)}])
+    room = 10**9 if whole else PAGE_BYTES - SCRIPT_BYTES
+    (sound,) = play([page_job(instrument, song, True, room, **({"most": most} if most else {}))])
     return sound[:, max(early(key.note) for key in instrument.keys.values()) :]
 
 
@@ -93,13 +90,16 @@ def main() -> None:
     parser.add_argument("--notes", type=float, default=10.0, help="a second")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--page", action="store_true", help="beside the page's engine")
+    parser.add_argument("--controllers", action="store_true", help="all pedals move continuously")
+    parser.add_argument("--most", type=int, default=0, help="free modes of the page, if not its own number")
     asked = parser.parse_args()
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     enable_program_cache()
     given = load_instrument(asked.instrument) if asked.instrument else piano(parse_keys("A0-C8"))
     notes = {midi: key.note._replace(gain=QUIET * key.note.gain) for midi, key in given.keys.items()}
     quiet = replace(given, keys={midi: replace(key, note=notes[midi]) for midi, key in given.keys.items()})
     keys = [k for k in given.keys if LOWEST <= k < HIGHEST]
-    song = drawn(asked.seconds, asked.notes, keys, asked.seed)
+    song = drawn(asked.seconds, asked.notes, keys, asked.seed, asked.controllers)
     render_song(quiet, song, RATE)  # compiles what an earlier run has not
     begin = time.process_time()
     played = render_song(quiet, song, RATE)
@@ -109,7 +109,7 @@ def main() -> None:
         f"{len(played.samples)} channels: {song.seconds / took:.1f} times faster than real time"
     )
     for whole in (True, False) if asked.page else ():
-        sound = by_page(quiet, song, whole)
+        sound = by_page(quiet, song, whole, asked.most)
         size = min(sound.shape[-1], played.samples.shape[-1])
         away = np.abs(sound[:, :size] - played.samples[:, :size]).max() / np.abs(played.samples).max()
         print(f"the page, knocks {'as they are' if whole else 'as it holds them'}: {20 * np.log10(away):.1f} dB")

@@ -6,6 +6,7 @@ import base64
 import json
 import shutil
 import subprocess
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,20 +14,27 @@ import numpy as np
 import pytest
 from instrument_cases import true_note
 
+from pianofit.instrument import Instrument
 from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.note import Note
+from pianofit.playback import Song
+from pianofit.web.payload import encode_instrument
 
 RATE = 48_000
 BLOCK = 128  # samples; events take effect at the beginning of a block
+STEP = BLOCK / RATE  # s, between times at which events take effect
+CONTROLLERS = {64: "pedal", 66: "sostenuto", 67: "una_corda"}
 SCRIPTS = Path(str(files("pianofit.web")))
 # Reads {rate, jobs: [{keys, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels. Jobs with
-# `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
+# `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written. With
+# `bridge` free strings resonate, at most `most` modes. With `sizes` the result is the size of the engine's state.
 PROGRAM = """
 import { readFileSync } from "node:fs";
-const names = ["prepare", "contact", "engine", "output", "change", "note", "instrument", "midi", "record"];
+const names = ["prepare", "contact", "free_strings", "release", "engine", "output", "change", "note", "instrument",
+  "midi", "record"];
 const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
 const all = Object.assign({}, ...parts);
-const { BLOCK, Engine, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
+const { BLOCK, Engine, FreeStrings, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
 const { rate, jobs } = JSON.parse(readFileSync(0, "utf8"));
 const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
 const text = (value) => [Buffer.from(JSON.stringify(value)).toString("base64")];
@@ -37,11 +45,19 @@ const songOf = (bytes) => {
     return { error: error.message };
   }
 };
-const saved = (instrument, changes, volume) => all.instrumentDocument(instrument, instrument.keys.map((entry) => {
-  const own = altered(changes[entry.midi] ?? {});
-  return { key: changed(decode(entry), own), changes: own };
-}), volume);
-const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, instrument, volume, song, record }) => {
+const sizesOf = (engine) => ({ sounding: engine.sounding, noises: engine.noises.length, history: engine.history.length,
+  pending: engine.resonance.pending.length, atRest: engine.resonance.isAtRest, struck: engine.struck.size,
+  strokes: [...engine.voices.values()].map((voice) => voice.strokes.length + voice.waiting.length) });
+const saved = (instrument, changes, volume) => {
+  const releases = all.decodeReleases(instrument.releases);
+  return all.instrumentDocument({ ...instrument, releases }, instrument.keys.map((entry) => {
+    const own = altered(changes[entry.midi] ?? {});
+    return { key: changed(decode(entry), own), changes: own };
+  }), volume);
+};
+const played = jobs.map((job) => {
+  const { keys, changes, events, blocks, output, wav, note, instrument, volume, song, record } = job;
+  const { bridge, most, releases, sizes } = job;
   if (song !== undefined) return text(songOf(song));
   if (record) {
     const past = new Record(record.longest);
@@ -55,16 +71,22 @@ const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, ins
   }
   const engine = new Engine(rate), out = new Output(rate, BLOCK);
   const sound = [0, 1].map(() => new Float64Array(blocks * BLOCK));
-  for (const [midi, entry] of Object.entries(keys)) {
-    const key = decode(entry);
-    engine.setKey(Number(midi), prepare(changes ? changed(key, changes) : key, rate));
+  const decoded = new Map(Object.entries(keys).map(([midi, entry]) =>
+    [Number(midi), changes ? changed(decode(entry), changes) : decode(entry)]));
+  for (const [midi, key] of decoded) engine.setKey(midi, prepare(key, rate));
+  if (bridge) {
+    const free = new FreeStrings(decoded, bridge, rate, most);
+    engine.setStrings(free.data);
+    for (const midi of decoded.keys()) engine.setResponse(midi, free.response(midi));
   }
+  if (releases) engine.setReleases(all.releaseNoises(all.decodeReleases(releases), decoded.keys(), rate));
   for (let i = 0; i < blocks; i++) {
     for (const [block, what, ...value] of events) if (block === i) engine[what](...value);
     const here = sound.map((x) => x.subarray(i * BLOCK, (i + 1) * BLOCK));
     engine.render(...here);
     if (output) out.pass(here).forEach((x, c) => here[c].set(x));
   }
+  if (sizes) return text(sizesOf(engine));
   return wav ? [base64(encodeWav(sound, rate))] : sound.map(base64);
 });
 console.log(JSON.stringify(played));
@@ -118,3 +140,40 @@ def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
     part = VelocityGain(np.array([0.5, 1.5, 4.0]), factor)
     ringing = ModalResponse(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate, part)
     return note._replace(gain=1.5, modal_response=ringing)
+
+
+def on_block(seconds: float) -> float:
+    """The nearest time at which events take effect in the page."""
+    return round(seconds / STEP) * STEP
+
+
+def walk(seed: int, step: float, seconds: float) -> list[tuple[float, int]]:
+    """A controller that wanders, and jumps now and then."""
+    random, value, moves = np.random.default_rng(seed), 0, []
+    for t in np.arange(0.0, seconds, step):
+        wander = int(np.clip(value + random.integers(-20, 21), 0, 127))
+        value = int(random.integers(0, 128)) if random.random() < 0.15 else wander
+        moves.append((on_block(t), value))
+    return moves
+
+
+def page_job(piano: Instrument, song: Song, resonance: bool = True, most_bytes: int = 10**9, **more: object) -> dict:
+    """Payload and events of a song for the page's engine."""
+    document, _ = encode_instrument(piano, most_bytes)
+    rows: list[tuple[float, int, Sequence[object]]] = []
+    for controller, name in CONTROLLERS.items():
+        rows += [(t, controller, ("control", controller, value)) for t, value in getattr(song, name)]
+    for key, events in song.keys.items():
+        for t, velocity in events:
+            speed = piano.velocity.at(velocity)
+            release = song.release_velocities.get((key, t), 64)
+            rows.append((t, 128, ("noteOn", key, speed) if velocity else ("noteOff", key, release)))
+    rows.sort(key=lambda row: row[:2])
+    return {
+        "keys": {entry["midi"]: entry for entry in document["keys"]},
+        "bridge": document["bridge"] if resonance else None,
+        "releases": document["releases"],
+        "events": [[round(t * RATE / BLOCK), *words] for t, _, words in rows],
+        "blocks": round(song.seconds * RATE / BLOCK),
+        **more,
+    }

@@ -26,11 +26,11 @@ from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import RelaxingHammer
 from pianofit.instrument import Instrument, write_instrument
-from pianofit.instrument.dampers import damper_rate
 from pianofit.model.modal_response import VelocityGain
 from pianofit.model.modes import mode_frequencies
-from pianofit.playback import Song, render_song
+from pianofit.playback import PlayOptions, Song, render_song
 from pianofit.playback.voice import StringVoice
+from pianofit.schema.dampers import Dampers
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
 from pianofit.web import write_playable_page
@@ -114,14 +114,14 @@ def test_a_stroke_within_a_contact_waits_for_its_end():
 
 def test_a_damper_adds_its_rate_and_does_not_click():
     note, at = true_note(50)._replace(path=None), 150
-    entry = encode_note(note, 50)
+    entry = encode_note(note, 50, dampers=Dampers(slope=0.0))  # all modes at one rate
     free, damped, caught = play([
         job(entry, struck(3.0)), job(entry, struck(3.0), [at, "noteOff", 60]),
-        job(entry, struck(3.0), [at - 1, "setPedal", True], [at, "noteOff", 60]),
+        job(entry, struck(3.0), [at - 1, "control", 64, 127], [at, "noteOff", 60]),
     ])  # fmt: skip
     after = np.arange(RATE - at * BLOCK) / RATE
     assert damped[:, : at * BLOCK] == pytest.approx(free[:, : at * BLOCK], abs=1e-12)
-    expected = free[:, at * BLOCK :] * np.exp(-damper_rate(50) * after)
+    expected = free[:, at * BLOCK :] * np.exp(-entry["damper"]["rate"] * after)
     assert damped[:, at * BLOCK :] == pytest.approx(expected, abs=1e-6)  # modes end where they are inaudible
     assert (caught == free).all()
     bend = np.abs(np.diff(damped[0], 2))
@@ -149,15 +149,15 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
     notes |= {k: uneven_note(k)._replace(gain=1.0, modal_response=ringing_note(k).modal_response) for k in (52, 64)}
     piano, random, at = piano_of(notes), np.random.default_rng(3), BLOCK / RATE
     keys = {k: [] for k in notes}
-    events = [[0, "setPedal", False], [500, "setPedal", True], [900, "setPedal", False]]
+    events = [[500, "control", 64, 127], [900, "control", 64, 0]]
     for key, found in keys.items():
         for begin in np.arange(10, 1100, 90) + random.integers(0, 30, 13):
             velocity, end = int(random.integers(30, 110)), int(begin + random.integers(20, 55))
             found += [(begin * at, velocity), (end * at, 0)]
             struck_at = piano.note(key, velocity).hammer.v_H0
             events += [[int(begin), "noteOn", key, struck_at], [end, "noteOff", key]]
-    song = Song(keys, [(500 * at, True), (900 * at, False)], 1200 * at, 52)
-    expected = render_song(piano, song, RATE)
+    song = Song(keys, [(500 * at, 127), (900 * at, 0)], 1200 * at, 52)
+    expected = render_song(piano, song, RATE, options=PlayOptions(resonance=False))
     assert expected.limited_db == expected.gain_db == 0
     entries = {key: encode_note(note, key) for key, note in notes.items()}
     (sound,) = play([{"keys": entries, "events": sorted(events), "blocks": 1200}])

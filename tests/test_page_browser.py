@@ -4,89 +4,24 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import notes_of, piano_of, true_instrument, uneven_note
+from instrument_cases import true_instrument
+from page_browser_cases import CHROMIUM, LISTEN, at, sounding
 from page_cases import ringing_note
 
 from pianofit.instrument import load_instrument
 from pianofit.playback import load_song
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
-from pianofit.web import write_playable_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
 if not Path(CHROMIUM).exists():
     pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
-ARGUMENTS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
-WINDOW = 32768  # samples of an analyser: 0.7 s
-
-# An analyser after the engine holds the last samples; `lastSamples` returns them.
-LISTEN = f"""() => {{
-  const {{ player }} = window.pianofitKeyboard;
-  const analyser = new AnalyserNode(player.context, {{ fftSize: {WINDOW} }});
-  player.node.connect(analyser);
-  window.lastSamples = () => {{
-    const samples = new Float32Array({WINDOW});
-    analyser.getFloatTimeDomainData(samples);
-    return Array.from(samples);
-  }};
-}}"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    notes = notes_of(true_instrument(range(48, 73))) | {60: uneven_note(60), 64: ringing_note(64)}
-    piano = piano_of(notes, recorded=(60, 64), name="</script>'\"")
-    path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
-    values = {"M_H/M_S": KeyValue(1.0, (0.5, 2.0)), "p": KeyValue(2.0, (1.9, 2.2))}
-    write_playable_page(path, replace(piano, keys={**piano.keys, 60: replace(piano.keys[60], values=values)}))
-    return path
-
-
-@pytest.fixture
-def page(browser, written):
-    """The open page, which must make no requests and log nothing."""
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    complaints, requests = [], []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("request", lambda request: requests.append(request.url))
-    page.goto(written.as_uri())
-    page.wait_for_function("() => Boolean(window.pianofitKeyboard)")
-    yield page
-    page.close()
-    assert complaints == []
-    elsewhere = [url for url in requests if not url.startswith(("blob:", "data:"))]
-    assert elsewhere == [written.as_uri()]
-
-
-def sounding(page, count):
-    page.wait_for_function("n => window.pianofitKeyboard.player.sounding === n", arg=count, timeout=60_000)
-
-
-def at(page, midi):
-    key = page.locator(f'.key[data-midi="{midi}"]')
-    key.scroll_into_view_if_needed()
-    box = key.bounding_box()
-    return box["x"] + box["width"] / 2, box["y"] + 0.9 * box["height"]
+pytest_plugins = ("page_browser_fixtures",)
 
 
 def test_a_pressed_key_sounds_and_is_damped(page):
@@ -307,7 +242,7 @@ def test_a_dropped_song_plays_and_what_was_played_is_saved(page, tmp_path):
     song = load_song(files["piano.mid"])
     assert [[velocity for _, velocity in song.keys[key]] for key in (64, 67)] == [[80, 0], [96, 0]]
     assert song.keys[67][0][0] == pytest.approx(1.0, abs=0.002)
-    assert [down for _, down in song.pedal] == [1, 0]
+    assert [value for _, value in song.pedal] == [127, 0]
     assert np.abs(sf.read(files["piano.wav"])[0]).max() > 1e-3
 
 

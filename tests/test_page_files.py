@@ -14,8 +14,12 @@ from page_cases import RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
 from pianofit.instrument import Instrument, load_instrument
+from pianofit.instrument.noise_floor import NoiseFloor
+from pianofit.instrument.release_noise import ReleaseNoise
 from pianofit.playback import load_song
 from pianofit.playback.midi import read_song
+from pianofit.schema.bridge import BridgeAdmittance
+from pianofit.schema.dampers import Dampers
 from pianofit.schema.instrument import LARGEST_INSTRUMENT, KeyValue
 from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
 from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_playable_page
@@ -83,6 +87,22 @@ def test_a_saved_instrument_says_which_keys_were_changed(tmp_path):
     assert found.keys[64].note.hammer.M_H == ringing_note(64).hammer.M_H
 
 
+def test_a_saved_instrument_keeps_what_is_beyond_its_strings(tmp_path):
+    """Bridge, dampers, release noises and noise floor; sounds have the volume of the page."""
+    bridge = BridgeAdmittance((100.0, 900.0), (1e-3, 2e-3), (5e-4, 1e-3), (2e-3, 4e-3), "recordings", 12)
+    dampers = Dampers(20.0, 50.0, 0.4, source="recordings", keys=(52, 60))
+    release = ReleaseNoise({52: np.random.default_rng(1).normal(size=(2, 4000)) / 10}, 44_100)
+    noise = NoiseFloor(np.array([100.0, 1000.0]), np.array([[1e-9, 2e-9], [3e-9, 4e-9]]))
+    own = replace(piano(), bridge=bridge, dampers=dampers, release=release, noise=noise)
+    found = read_saved(saved(own, CHANGES), tmp_path)
+    assert (found.bridge, found.dampers) == (bridge, dampers)
+    assert found.release is not None
+    assert found.release.rate == 44_100
+    assert found.release.sounds[52] == pytest.approx(VOLUME * release.sounds[52], abs=1e-4)
+    assert found.noise is not None
+    assert found.noise.density == pytest.approx(VOLUME**2 * noise.density)
+
+
 def test_every_command_takes_a_saved_instrument(tmp_path, capsys):
     file, song = tmp_path / "instrument.json", tmp_path / "song.mid"
     file.write_bytes(saved(piano(), CHANGES))
@@ -140,12 +160,12 @@ def on(at: float, midi: int, velocity: float) -> dict:
     return {"at": at, "do": "on", "midi": midi, "velocity": velocity}
 
 
-def off(at: float, midi: int) -> dict:
-    return {"at": at, "do": "off", "midi": midi}
+def off(at: float, midi: int, velocity: int = 64) -> dict:
+    return {"at": at, "do": "off", "midi": midi, "velocity": velocity}
 
 
-def pedal(at: float, down: bool) -> dict:
-    return {"at": at, "do": "pedal", "down": down}
+def pedal(at: float, value: int, controller: int = 64) -> dict:
+    return {"at": at, "do": "control", "controller": controller, "value": value}
 
 
 @pytest.mark.parametrize(
@@ -167,7 +187,9 @@ def pedal(at: float, down: bool) -> dict:
 def test_songs_are_read_tolerantly(data, remarks):
     song = read(data)
     seconds = 0.02 if data[13:14] == b"\x32" else 0.5
-    assert song["events"] == [on(0, 60, 80), {**off(0, 60), "at": pytest.approx(seconds)}]
+    velocity = song["events"][-1]["velocity"]
+    assert velocity in (0, 64)
+    assert song["events"] == [on(0, 60, 80), {**off(0, 60, velocity), "at": pytest.approx(seconds)}]
     assert (song["notes"], song["beyond"], len(song["remarks"])) == (1, 0, remarks)
 
 
@@ -180,19 +202,44 @@ def test_a_note_off_ends_the_oldest_stroke_of_its_key_and_channel():
     assert [event for event in events if event["at"] != 0.5 or event["do"] == "on"] == expected
     # Two channels on one key: it goes up with the second.
     both = track(*DOWN, 0, 0x91, 60, 70, *UP, *BEAT, 0x81, 60, 0)
-    assert read(midi_file(both))["events"] == [on(0, 60, 80), on(0, 60, 70), off(1.0, 60)]
+    assert read(midi_file(both))["events"] == [on(0, 60, 80), on(0, 60, 70), off(1.0, 60, 0)]
 
 
 def test_what_a_song_holds_at_its_end_is_let_go_3_s_later():
     held = read(midi_file(track(*DOWN, 0, 0xB0, 64, 127, *BEAT, 0x90, 110, 3)))
-    assert held["events"] == [on(0, 60, 80), pedal(0, True), off(3.5, 60), pedal(3.5, False)]
+    assert held["events"] == [on(0, 60, 80), pedal(0, 127), off(3.5, 60), pedal(3.5, 0)]
     assert (held["notes"], held["beyond"], held["seconds"]) == (1, 1, 0.5)
 
 
-def test_the_pedal_is_a_switch_at_half_its_way():
-    moves = (0, 0xB0, 64, 63, 0, 0xB0, 64, 64, 0, 0xB0, 64, 100, *BEAT, 0xB0, 64, 63)
-    events = read(midi_file(track(*DOWN, *moves)))["events"]
-    assert [event for event in events if event["do"] == "pedal"] == [pedal(0, True), pedal(0.5, False)]
+def test_pedals_and_releases_are_those_of_the_player():
+    """Random moves of all controllers in several channels, and release velocities."""
+    random = np.random.default_rng(2)
+    for _ in range(5):
+        data = [0, 0x90, 60, 80]
+        for _ in range(200):
+            channel, key = int(random.integers(0, 3)), int(random.integers(60, 64))
+            value = int(random.integers(0, 128))
+            data += [int(random.integers(1, 60))]
+            data += [
+                [0xB0 + channel, int(random.choice([64, 66, 67, 1])), value],
+                [0x90 + channel, key, value],
+                [0x80 + channel, key, value],
+            ][random.integers(0, 3)]
+        file = midi_file(track(*data))
+        events, song = read(file)["events"], read_song(file, "song.mid")
+        events = [e for e in events if e["at"] <= song.seconds]
+        for controller, moves in ((64, song.pedal), (66, song.sostenuto), (67, song.una_corda)):
+            own = [
+                (e["at"], e["value"]) for e in events if e.get("controller") == controller and e["at"] <= song.seconds
+            ]
+            assert own == [(pytest.approx(t), value) for t, value in moves]
+        for key, moves in song.keys.items():
+            own = [e for e in events if e.get("midi") == key and e["at"] <= song.seconds]
+            assert [(e["at"], e["velocity"] * (e["do"] == "on")) for e in own] == [
+                (pytest.approx(t), v) for t, v in moves
+            ]
+            ends = [e["velocity"] for e in own if e["do"] == "off"]
+            assert ends == [song.release_velocities.get((key, t), 64) for t, velocity in moves if not velocity]
 
 
 @pytest.mark.parametrize(
@@ -232,13 +279,17 @@ def recorded(events: list[dict], longest: float = 600) -> bytes:
 
 
 def test_what_was_played_is_a_midi_file(tmp_path: Path):
-    events = [pedal(1.0, True), on(5.0, 60, 80), on(5.25, 64, 1), off(5.5, 60), on(5.5, 60, 127), pedal(6.0, False),
+    events = [pedal(1.0, 40), pedal(1.1, 100, 66), on(5.0, 60, 80), on(5.25, 64, 1), off(5.5, 60, 30), on(5.5, 60, 127),
+              pedal(5.8, 55), pedal(5.9, 70, 67), pedal(6.0, 0),
               {"at": 6.1, "do": "volume", "volume": 2}, off(6.5, 60), {"at": 7.0, "do": "panic"}]  # fmt: skip
     data = recorded(events)
     (tmp_path / "piano.mid").write_bytes(data)
     song = load_song(tmp_path / "piano.mid")
     near = lambda times: pytest.approx(times, abs=1e-3)  # noqa: E731
-    assert list(map(tuple, song.pedal)) == [(0, 1), (near(1.0), 0)]
+    assert list(map(tuple, song.pedal)) == [(0, 40), (near(0.8), 55), (near(1.0), 0)]
+    assert list(map(tuple, song.sostenuto)) == [(0, 100)]
+    assert list(map(tuple, song.una_corda)) == [(near(0.9), 70)]
+    assert next(iter(song.release_velocities.values())) == 30
     assert [tuple(event) for event in song.keys[60]] == [(0, 80), (near(0.5), 0), (near(0.5), 127), (near(1.5), 0)]
     assert [tuple(event) for event in song.keys[64]] == [(near(0.25), 1), (near(2.0), 0)]  # silenced
     own = read(data)
@@ -246,8 +297,8 @@ def test_what_was_played_is_a_midi_file(tmp_path: Path):
 
 
 def test_a_record_keeps_its_last_minutes_and_the_pedal_of_their_begin():
-    events = [pedal(0.0, True), on(1.0, 50, 60), *(on(100.0 + i, 60 + i, 70) for i in range(3)), off(105.0, 50)]
+    events = [pedal(0.0, 90), on(1.0, 50, 60), *(on(100.0 + i, 60 + i, 70) for i in range(3)), off(105.0, 50)]
     song = read_song(recorded(events, longest=30), "piano.mid")
     assert sorted(song.keys) == [60, 61, 62]
-    assert [tuple(event) for event in song.pedal] == [(0, 1)]
+    assert [tuple(event) for event in song.pedal] == [(0, 90)]
     assert song.seconds == pytest.approx(2.0, abs=1e-3)

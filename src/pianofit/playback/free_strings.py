@@ -8,10 +8,10 @@ are their shares in the partial, and the bridge excites them in the same shares.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from ..instrument import Instrument
 from ..instrument.bridge import unison_bridge_rate
@@ -23,13 +23,16 @@ from .coupled_modes import CoupledModes, bridge_drive
 from .repeated_strike import string_tables
 
 # Highest frequency of a free mode, Hz: higher ones decay fast and take little from the bridge. See docs/instrument.md.
-HIGHEST = 4000.0
+HIGHEST = 4500.0
 # Smallest strike weight Φ of a partial. Near a node of the stroke the measured level of a partial is error.
 LEAST_STRIKE = 0.1
+# Strike weight whose sign is certain: at a node rounding errors would decide.
+CERTAIN_SIGN = 1e-9
 # Spacing of the frequencies at which transforms of forces are computed, Hz: pulses of some milliseconds are smooth
 # there.
 FORCE_SPACING = 10.0
-# Zero padding of the transform of a knock, so that it can be interpolated linearly.
+# Zero padding of the transform of a knock, so that it can be interpolated linearly. Its size is a power of two, as in
+# the page to play, and so independent of its sample rate.
 KNOCK_PADDING = 4
 
 
@@ -119,7 +122,7 @@ def _free_string(instrument: Instrument, midi: int, rate: int) -> FreeString:
     unison = np.sqrt(2 * typical_strings(midi) / note.geometry.mass)
     per_impulse = -1j * np.sqrt(share) * unison * weight
     if per_state is None:
-        sign = np.where(weight < 0, -1.0, 1.0)
+        sign = np.where(weight < -CERTAIN_SIGN, -1.0, 1.0)
         per_state = -1j * np.sqrt(share) * unison * sign * np.maximum(np.abs(weight), LEAST_STRIKE)
     hz = np.imag(pole) / (2 * np.pi)
     chosen = np.flatnonzero((hz < min(HIGHEST, rate / 2)) & (share > 0) & (np.abs(pattern).max(axis=0) > 0))
@@ -172,7 +175,7 @@ def _knock_transform(response: ModalResponse, pole: np.ndarray) -> np.ndarray:
     knock, rate = response.knock, response.rate
     energy = (knock**2).sum(axis=0)
     centre = float(np.arange(knock.shape[-1]) @ energy / max(energy.sum(), 1e-300)) / rate
-    size = int(next_fast_len(KNOCK_PADDING * knock.shape[-1], real=True) or 0)
+    size = 1 << math.ceil(math.log2(KNOCK_PADDING * knock.shape[-1]))
     spectrum = np.fft.rfft(knock, size) / rate
     return _interpolated(spectrum, rate / size, centre, pole) * np.exp(pole * PRE_ONSET_S)
 

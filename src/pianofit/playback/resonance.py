@@ -3,7 +3,7 @@
 Every key is first rendered as if it were alone (`song`). Here the amplitudes that its strings then have are followed
 together with what the other strings add, in steps of `HOP_SECONDS`. The sound of the added amplitudes is computed at a
 reduced rate. Between two steps each amplitude changes linearly in the frame that turns with its mode. So nothing
-clicks.
+clicks. This change begins after its step, so that a program that plays in real time computes the same.
 
 A string is free as far as its damper is lifted. A struck string keeps what others added. Not modelled: the effect of
 the added motion on the contact with the hammer.
@@ -21,8 +21,10 @@ from ..instrument import Instrument
 from ..model.modal_response import ForcePulse
 from .free_strings import HIGHEST, FreeStrings
 
-# Step of the amplitudes, s: bridges and dampers act within some ten milliseconds.
-HOP_SECONDS = 0.008
+# Step of the amplitudes, s: bridges and dampers act within some ten milliseconds. It is three blocks of the page.
+HOP_SECONDS = 384 / 48_000
+# Delay of a change of the amplitudes at the reduced rate, samples: the reach of the filter of the resampling.
+RESAMPLING_REACH = 10
 # Smallest ratio of the reduced rate to the highest frequency: room for the filter of the resampling.
 RATE_RATIO = 2.2
 # Steps whose sound is computed at once.
@@ -100,7 +102,7 @@ def render_resonance(
     reduced, hops = hop // ratio, contact.shape[1]
     player = _Player(free, strokes, contact, hop, rate)
     window = _hop_window(free.pole, reduced, rate / ratio)
-    out = np.zeros((len(free.sound), (hops + 1) * reduced))
+    out = np.zeros((len(free.sound), (hops + 1) * reduced + RESAMPLING_REACH))
     for first in range(0, hops, CHUNK_HOPS):
         count = min(CHUNK_HOPS, hops - first)
         amplitude = player.advance(first, count)
@@ -111,8 +113,8 @@ def render_resonance(
         rows = window[heard].reshape(2 * len(heard), -1)
         for channel, sound in enumerate(free.sound[:, heard]):
             pieces = np.ascontiguousarray(amplitude[:, heard] * sound).view(float) @ rows
-            _overlap_add(out[channel, first * reduced :], pieces, reduced)
-    whole = resample(out[:, reduced:], 1, ratio) if ratio > 1 else out[:, reduced:]
+            _overlap_add(out[channel, RESAMPLING_REACH + first * reduced :], pieces, reduced)
+    whole = resample(out, 1, ratio) if ratio > 1 else out
     return whole[:, :samples]
 
 
@@ -182,10 +184,10 @@ class _Player:
 
 
 def _hop_window(pole: np.ndarray, reduced: int, rate: float) -> np.ndarray:
-    """Sound of a unit real and imaginary amplitude about its hop [modes, 2, 2 reduced], from one hop before it on."""
-    time = np.arange(-reduced, reduced) / rate
-    turn = np.exp(np.outer(pole, time)) * (1 - np.abs(time) * rate / reduced)
-    return np.stack([turn.real, -turn.imag], axis=1)
+    """Sound of a unit real and imaginary amplitude [modes, 2, 2 reduced], from `RESAMPLING_REACH` samples on."""
+    sample = np.arange(2 * reduced)
+    turn = np.exp(np.outer(pole, (sample + RESAMPLING_REACH) / rate)) * (1 - np.abs(sample / reduced - 1))
+    return np.stack([np.real(turn), -np.imag(turn)], axis=1)
 
 
 def _overlap_add(out: np.ndarray, pieces: np.ndarray, reduced: int) -> None:

@@ -50,17 +50,22 @@ class DamperEntry:
 
 @dataclass(frozen=True)
 class SoundEntry:
-    """A sound as FLAC of 16 bits in base64, divided by `scale`."""
+    """A sound as FLAC of 16 bits in base64, divided by `scale`. A page writes WAV instead."""
 
     scale: Annotated[float, Meta(gt=0.0, le=1e6)]  # full scale in file units
-    flac: str
+    flac: str | None = None
+    wav: str | None = None
     file: str = ""  # recording from which it was cut
+
+    def __post_init__(self) -> None:
+        if (self.flac is None) == (self.wav is None):
+            raise ValueError("Expected either flac or wav")
 
     @classmethod
     def of(cls, samples: np.ndarray, rate: int, file: str = "") -> SoundEntry:
         """Return the entry of a sound [channels, samples]."""
         scale = float(np.abs(samples).max()) or 1.0
-        return cls(scale, base64.b64encode(encode_pcm(samples / scale, rate, "flac", 16)).decode(), file)
+        return cls(scale, base64.b64encode(encode_pcm(samples / scale, rate, "flac", 16)).decode(), file=file)
 
     def samples(self, where: str) -> tuple[np.ndarray, int]:
         """Return the sound [channels, samples] and its rate, Hz.
@@ -70,7 +75,8 @@ class SoundEntry:
         FitError
             If it cannot be read. The message names `where` the entry is.
         """
-        samples, rate = decode_sound(decode_base64(self.flac, f"{where}.flac"), "flac", f"{where}.flac")
+        kind, text = ("flac", self.flac) if self.wav is None else ("wav", self.wav)
+        samples, rate = decode_sound(decode_base64(text, f"{where}.{kind}"), kind, f"{where}.{kind}")
         return self.scale * samples, rate
 
 

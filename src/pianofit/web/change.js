@@ -48,10 +48,10 @@ export function changed(key, changes) {
   };
   if (key.path) out.path = { ...key.path, frequency: key.path.frequency.map((f) => f * shift(f)) };
   if (key.modal_response) {
-    const { pole, modal_amplitudes: amplitudes } = key.modal_response, f = pole.im.map((x) => x / (2 * Math.PI));
-    const number = f.map((x) => Math.max(Math.round(partialOf(x, f0, B)), 1)), most = Math.max(1, ...number);
+    const { partial, pole, modal_amplitudes: amplitudes } = key.modal_response, f = pole.im.map((x) => x / (2 * Math.PI));
+    const most = Math.max(1, ...partial);
     const [before, after] = [geometry, out.geometry].map((g) => raisedCosineWeights(g, most));
-    const level = number.map((k) => {
+    const level = partial.map((k) => {
       const ratio = after[k - 1] / before[k - 1];
       return Math.sign(ratio) * Math.min(Math.abs(ratio), MOST_LEVEL) || 0;
     });

@@ -10,7 +10,7 @@ const MOST_STEPS = 65536; // of a contact; a longer contact is ended
 const ITERATIONS = 100; // of Newton's method, largest number
 const TOLERANCE = 1e-9; // relative; a further iteration would only change rounding
 const SUM_COST = 4; // terms of a sum over forces that cost as much as one step of one mode
-const STRIDE = 4; // modes per iteration, which the processor computes in parallel
+export const STRIDE = 4; // modes per iteration, which the processor computes in parallel
 
 /** exp(pole t) of modes with the decay rate `damper`, 1/s, added. */
 export function expPole(pole, seconds, damper = 0) {
@@ -21,7 +21,10 @@ export function expPole(pole, seconds, damper = 0) {
 /** Workspace of `addDamped`. */
 export const workspace = (count) => Array.from({ length: 4 }, () => new Float64Array(count + STRIDE));
 
-/** Add a sum of `count` damped exponentials to out [size], by recursions from work = [first, second, c, d]. */
+/**
+ * Add a sum of `count` damped exponentials to out [size], by recursions from work = [first, second, c, d]. Afterwards
+ * first and second are those of the samples that follow.
+ */
 export function addDamped([a, b, c, d], count, out, size) {
   for (let k = count; k % STRIDE; k++) a[k] = b[k] = c[k] = d[k] = 0;
   for (let k = 0; k < count; k += STRIDE) {
@@ -41,6 +44,14 @@ export function addDamped([a, b, c, d], count, out, size) {
       b2 = c2 * a2 + d2 * b2;
       b3 = c3 * a3 + d3 * b3;
     }
+    a[k] = a0;
+    a[k + 1] = a1;
+    a[k + 2] = a2;
+    a[k + 3] = a3;
+    b[k] = b0;
+    b[k + 1] = b1;
+    b[k + 2] = b2;
+    b[k + 3] = b3;
   }
 }
 

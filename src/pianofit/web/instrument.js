@@ -1,6 +1,6 @@
 // The instrument with all changes on the page as an instrument.json, which schema/instrument.py reads.
 
-import { pathOf, responseOf } from "./note.js";
+import { pathOf, responseOf, soundOf } from "./note.js";
 
 const INSTRUMENT_SCHEMA = 7; // see schema/instrument.py
 // Laws whose values and intervals become invalid when a slider is changed.
@@ -10,10 +10,10 @@ const LAWS_OF = { force: ["F/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], str
 /**
  * Document of all keys.
  *
- * keys: [{key, changes}], each key with its current values and its changes, empty without any; volume: a factor that is
- * included in the gains.
+ * releases: as `decodeReleases` returns them; keys: [{key, changes}], each key with its current values and its changes,
+ * empty without any; volume: a factor that is included in the gains.
  */
-export function instrumentDocument({ name, velocity, even }, keys, volume) {
+export function instrumentDocument({ name, velocity, even, bridge, dampers, releases, noise }, keys, volume) {
   const changedKeys = keys.filter(({ changes }) => Object.keys(changes).length).map(({ key }) => key.note);
   const names = changedKeys.length === keys.length ? `all ${keys.length} keys` : changedKeys.join(", ");
   const warnings = ["Saved from the page to play."];
@@ -22,6 +22,8 @@ export function instrumentDocument({ name, velocity, even }, keys, volume) {
   return {
     schema: INSTRUMENT_SCHEMA, program: "pianofit", kind: "instrument", name, quantity: keys[0].key.quantity,
     velocity: { ...velocity, source: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), warnings, even,
+    bridge, dampers, noise: noise && { ...noise, density: noise.density.map((row) => row.map((x) => x * volume ** 2)) },
+    releases: releases.map(({ midi, sound, rate }) => ({ midi, sound: soundOf(sound, volume, rate) })),
   };
 }
 

@@ -3,12 +3,15 @@
 const SIGNS = "AWSEDFTGYHUJKOLP;"; // computer keys that play, in the layout of a piano
 const LETTERS = Array.from(SIGNS, (sign) => (sign === ";" ? "Semicolon" : `Key${sign}`)); // their key codes
 const BLACK = [1, 3, 6, 8, 10]; // semitones above C
-const SUSTAIN = 64; // MIDI controllers
-const ALL_OFF = [120, 123];
+const ALL_OFF = [120, 123]; // MIDI controllers
+const DOWN = 127; // value of a pedal that is fully down
 
 class Keyboard {
   constructor(player, entries) {
     Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
+    // MIDI controllers by the ids of their buttons, and by the codes of their computer keys.
+    this.pedals = { pedal: player.SUSTAIN, sostenuto: player.SOSTENUTO, soft: player.SOFT };
+    this.pedalKeys = { Space: player.SUSTAIN, KeyV: player.SOSTENUTO, KeyC: player.SOFT };
     this.bench = new Workbench(player, (words) => this.say(words));
     this.song = new SongPlayer(player, (event) => this._show(event), (words) => this.say(words));
     const recordings = byId("recordings");
@@ -23,7 +26,7 @@ class Keyboard {
     this._reachable(this.keys.has(60) ? 60 : entries[0].midi);
     this._mark();
     this._view(60);
-    player.prepareAll((done, all) => this._loaded(done, all)).then(() => (byId("loading").hidden = true));
+    this._load();
     setInterval(() => (byId("sounding").textContent = player.sounding), 200);
   }
 
@@ -36,10 +39,15 @@ class Keyboard {
     byId("refused").textContent = `No sound: ${error.message}.`;
   }
 
-  /** Show the progress of the tables. */
-  _loaded(done, all) {
-    byId("ready").value = done / all;
-    byId("ready-words").textContent = `Computing tables: ${done} of ${all} keys`;
+  /** Compute all tables, then the free strings, and show the progress. */
+  async _load() {
+    const show = (what) => (done, all) => {
+      byId("ready").value = done / all;
+      byId("ready-words").textContent = `Computing ${what}: ${done} of ${all} keys`;
+    };
+    await this.player.prepareAll(show("tables"));
+    await this.player.prepareStrings(show("resonance"));
+    byId("loading").hidden = true;
   }
 
   _key({ midi, note, recorded, state }) {
@@ -74,24 +82,49 @@ class Keyboard {
   }
 
   /** Show an event of the song player. */
-  _show({ do: kind, midi, down }) {
-    if (kind === "pedal") this._pedalIs((this.player.pedal = down));
-    else this.keys.get(midi).key.classList.toggle("down", kind === "on");
+  _show({ do: kind, midi, controller, value }) {
+    if (kind === "control") {
+      this.player.pedals.set(controller, value);
+      this._showPedals();
+    } else this.keys.get(midi).key.classList.toggle("down", kind === "on");
     this._recorded();
   }
 
-  release(midi) {
+  release(midi, velocity) {
     this.keys.get(midi)?.key.classList.remove("down");
-    this.player.off(midi);
+    this.player.off(midi, velocity);
   }
 
-  setPedal(down) {
-    this.player.setPedal(down);
-    this._pedalIs(down);
+  /** Move a pedal to a value from 0 to 127. */
+  movePedal(controller, value) {
+    this.player.control(controller, value);
+    this._showPedals();
   }
 
-  _pedalIs(down) {
-    byId("pedal").setAttribute("aria-pressed", String(down));
+  /** Press a pedal fully, or release it. */
+  _toggle(controller) {
+    this.movePedal(controller, this.player.pedals.get(controller) ? 0 : DOWN);
+  }
+
+  _showPedals() {
+    for (const [id, controller] of Object.entries(this.pedals)) {
+      const value = this.player.pedals.get(controller) ?? 0;
+      byId(id).setAttribute("aria-pressed", value === DOWN ? "true" : value ? "mixed" : "false");
+      if (controller !== this.player.SUSTAIN) continue;
+      const { low, high } = this.player.range, words = value >= high ? "up" : value > low ? "half" : "down";
+      byId("half").value = value;
+      byId("half-words").textContent = `${value}, dampers ${words}`;
+      byId("half").setAttribute("aria-valuetext", `${value}, dampers ${words}`);
+    }
+  }
+
+  /** Set the range of half pedal; a range that is empty is kept from the player. */
+  _setRange() {
+    const [low, high] = ["range-low", "range-high"].map((id) => Number(byId(id).value));
+    const isRange = low >= 0 && low < high && high <= DOWN;
+    if (isRange) this.player.setRange({ low, high });
+    else this.say("Half pedal needs two values from 0 to 127, the lower first.");
+    this._showPedals();
   }
 
   /** Make one key reachable by Tab; arrows lead to the others. */
@@ -130,9 +163,10 @@ class Keyboard {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const on = event.target.closest?.(".key"), midi = Number(on?.dataset.midi), { code } = event;
       const at = LETTERS.indexOf(code);
-      if (code === "Space" && !elsewhere(event)) {
+      if (event.target.closest?.("input:not([type=range], [type=checkbox])")) return;
+      if (this.pedalKeys[code] && !(code === "Space" && elsewhere(event))) {
         event.preventDefault();
-        if (!event.repeat) this.setPedal(!this.player.pedal);
+        if (!event.repeat) this._toggle(this.pedalKeys[code]);
       } else if (at >= 0 && !event.repeat) {
         this.letters.set(code, this.octave + at);
         this.play(this.octave + at);
@@ -169,7 +203,7 @@ class Keyboard {
   panic() {
     this.song.stop();
     this._releaseAll();
-    this.setPedal(false);
+    for (const controller of this.player.PEDALS) this.movePedal(controller, 0);
     this.player.panic();
     for (const { key } of this.keys.values()) key.classList.remove("down");
     this.say("Silence.");
@@ -206,7 +240,11 @@ class Keyboard {
     byId("volume").addEventListener("input", volume);
     velocity();
     volume();
-    byId("pedal").onclick = () => this.setPedal(!this.player.pedal);
+    for (const [id, controller] of Object.entries(this.pedals)) byId(id).onclick = () => this._toggle(controller);
+    byId("half").addEventListener("input", ({ target }) => this.movePedal(this.player.SUSTAIN, Number(target.value)));
+    for (const id of ["range-low", "range-high"]) byId(id).addEventListener("change", () => this._setRange());
+    byId("resonance").addEventListener("change", ({ target }) => this.player.setResonance(target.checked));
+    this._showPedals();
     byId("panic").onclick = () => this.panic();
     byId("lower").onclick = () => this._shift(-12);
     byId("higher").onclick = () => this._shift(12);
@@ -234,8 +272,8 @@ class Keyboard {
   _message([status, data, value]) {
     const kind = status & 0xf0;
     if (kind === 0x90 && value > 0) this.play(data, value);
-    else if (kind === 0x80 || kind === 0x90) this.release(data);
-    else if (kind === 0xb0 && data === SUSTAIN) this.setPedal(value >= 64);
+    else if (kind === 0x80 || kind === 0x90) this.release(data, kind === 0x80 ? value : undefined);
+    else if (kind === 0xb0 && this.player.PEDALS.includes(data)) this.movePedal(data, value);
     else if (kind === 0xb0 && ALL_OFF.includes(data)) this.panic();
   }
 

@@ -4,6 +4,8 @@
 // Playback needs notes, controllers and tempo. Other events and chunks are skipped by their lengths. An event that
 // cannot be read ends its track: earlier events are kept, and a remark reports it.
 
+import { PEDALS } from "./pedals.js";
+
 export const LARGEST_SONG = 2 ** 21; // bytes
 const MOST_NOTES = 100_000;
 const MOST_SONG_SECONDS = 1800;
@@ -12,7 +14,8 @@ const NOTE_OFF = 8, NOTE_ON = 9, CONTROL = 11; // upper half of a status byte
 const ONE_BYTE = [12, 13]; // program change and channel pressure have one data byte
 const SYSEX = 0xf0, ESCAPE = 0xf7, META = 0xff, END_OF_TRACK = 0x2f, SET_TEMPO = 0x51;
 const SYSTEM_LENGTHS = { 0xf1: 1, 0xf2: 2, 0xf3: 1 }; // data bytes of system messages
-const PEDAL = 64, PEDAL_DOWN = 64, SOUND_OFF = 120, NOTES_OFF = 123; // controllers; the pedal is a switch
+const SOUND_OFF = 120, NOTES_OFF = 123; // controllers
+const RELEASE_VELOCITY = 64; // of a key that states none
 const DRUMS = 9; // the tenth channel
 const LAST_HELD = 3; // s from the end of a song to the release of keys without note-off
 const FIRST_TEMPO = 500_000; // microseconds a beat until a file sets a tempo
@@ -181,8 +184,10 @@ function addMissingEnds(moves) {
   return [...moves, ...ends];
 }
 
-/** Strokes and releases of one key. It is released when no channel has an open stroke left. */
-function mergeChannels(midi, channels) {
+/**
+ * Strokes and releases of one key. It is released when no channel has an open stroke left. released: velocities by time.
+ */
+function mergeChannels(midi, channels, released) {
   const open = new Map(), events = [], moves = [...channels.values()].flatMap(addMissingEnds);
   const isHeld = () => [...open.values()].some((count) => count > 0);
   for (const { order, at, channel, velocity } of moves.sort((a, b) => a.order - b.order)) {
@@ -193,21 +198,23 @@ function mergeChannels(midi, channels) {
       continue;
     }
     open.set(channel, velocity === END ? Math.max(count - 1, 0) : 0);
-    if (before && !isHeld()) events.push({ order, at, do: "off", midi });
+    if (before && !isHeld()) events.push({ order, at, do: "off", midi, velocity: released.get(at) ?? RELEASE_VELOCITY });
   }
   return { events, isHeld: isHeld() };
 }
 
 /**
  * A song: {events, seconds, notes, beyond, remarks}. Events ascend in time: {at, do: "on", midi, velocity: 1 to 127},
- * {at, do: "off", midi}, {at, do: "pedal", down}. `beyond` counts notes outside A0 to C8.
+ * {at, do: "off", midi, velocity: 0 to 127}, {at, do: "control", controller: one of PEDALS, value: 0 to 127}. `beyond`
+ * counts notes outside A0 to C8.
  *
  * Throws an Error with the reason if the file cannot be used.
  */
 export function readMidi(bytes) {
   const { messages, seconds, remarks } = parse(bytes);
   if (seconds > MOST_SONG_SECONDS) throw new Error(`it lasts more than ${MOST_SONG_SECONDS / 60} minutes; cut it into parts`);
-  const keys = new Map(), pedalChannels = new Set(), events = [], count = { notes: 0, beyond: 0 };
+  const keys = new Map(), released = new Map(), events = [], count = { notes: 0, beyond: 0 };
+  const pedals = new Map(PEDALS.map((controller) => [controller, { channels: new Map(), highest: 0 }]));
   const move = (midi, channel, step) => {
     if (!keys.has(midi)) keys.set(midi, new Map());
     if (!keys.get(midi).has(channel)) keys.get(midi).set(channel, []);
@@ -215,28 +222,28 @@ export function readMidi(bytes) {
   };
   messages.forEach(({ at, kind, channel, first, second }, order) => {
     if (channel === DRUMS) return;
-    if (kind === CONTROL && first === PEDAL) {
-      const down = second >= PEDAL_DOWN, before = pedalChannels.size;
-      if (down) pedalChannels.add(channel);
-      else pedalChannels.delete(channel);
-      const hasMoved = before !== pedalChannels.size && (pedalChannels.size === 0 || before === 0);
-      if (hasMoved) events.push({ order, at, do: "pedal", down });
+    if (kind === CONTROL && pedals.has(first)) {
+      const pedal = pedals.get(first), highest = Math.max(...pedal.channels.set(channel, second).values());
+      if (highest !== pedal.highest) events.push({ order, at, do: "control", controller: first, value: highest });
+      pedal.highest = highest; // of all channels
     } else if (kind === CONTROL && [SOUND_OFF, NOTES_OFF].includes(first)) {
       for (const [midi, channels] of keys) if (channels.has(channel)) move(midi, channel, { order, at, velocity: END_ALL });
     } else if (kind === NOTE_ON || kind === NOTE_OFF) {
       const velocity = kind === NOTE_ON ? second : END, isOnPiano = first >= LOWEST_KEY && first <= HIGHEST_KEY;
       if (velocity > 0) count[isOnPiano ? "notes" : "beyond"]++;
       if (isOnPiano) move(first, channel, { order, at, velocity });
+      if (kind === NOTE_OFF) released.set(first, (released.get(first) ?? new Map()).set(at, second));
     }
   });
   if (count.notes > MOST_NOTES) throw new Error(`it has more than ${MOST_NOTES} notes; cut it into parts`);
   if (!count.notes) throw new Error(["it holds no note from A0 to C8", ...remarks].join("; "));
   const end = { order: Infinity, at: seconds + LAST_HELD };
   for (const [midi, channels] of keys) {
-    const merged = mergeChannels(midi, channels);
-    events.push(...merged.events, ...(merged.isHeld ? [{ ...end, do: "off", midi }] : []));
+    const merged = mergeChannels(midi, channels, released.get(midi) ?? new Map());
+    const last = { ...end, do: "off", midi, velocity: RELEASE_VELOCITY };
+    events.push(...merged.events, ...(merged.isHeld ? [last] : []));
   }
-  if (pedalChannels.size) events.push({ ...end, do: "pedal", down: false });
+  for (const [controller, { highest }] of pedals) if (highest) events.push({ ...end, do: "control", controller, value: 0 });
   events.sort((a, b) => a.at - b.at || (a.order > b.order) - (a.order < b.order));
   return { events: events.map(({ order, ...event }) => event), seconds, ...count, remarks };
 }
@@ -255,8 +262,9 @@ export function writeMidi(events) {
   let before = 0;
   for (const event of events) {
     const tick = Math.max(Math.round((event.at - events[0].at) * perSecond), before);
-    const data = { on: [NOTE_ON << 4, event.midi, event.velocity], off: [NOTE_OFF << 4, event.midi, 64],
-      pedal: [CONTROL << 4, PEDAL, event.down ? 127 : 0] }[event.do];
+    const data = { on: [NOTE_ON << 4, event.midi, event.velocity],
+      off: [NOTE_OFF << 4, event.midi, event.velocity ?? RELEASE_VELOCITY],
+      control: [CONTROL << 4, event.controller, event.value] }[event.do];
     track.push(...variable(tick - before), ...data);
     before = tick;
   }

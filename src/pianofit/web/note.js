@@ -1,6 +1,5 @@
 // A key as a note.json, with the entries of a fit.json that `pianofit render` and similar commands read.
 
-import { partialOf } from "./change.js";
 import { encodeWav } from "./output.js";
 
 const SCHEMA = 6; // of fit.json: FIT_SCHEMA in schema/fit.py
@@ -13,27 +12,27 @@ function base64(bytes) {
   return btoa(text);
 }
 
+/** A sound [channels] times a factor as a WAV file of 32-bit floats. */
+export function soundOf(channels, factor, rate) {
+  return { wav: base64(encodeWav(channels.map((x) => x.map((y) => y * factor)), rate)), scale: 1 };
+}
+
 /** Output path of a key as lists of numbers, or null. */
 export function pathOf({ path }) {
   return path ? Object.fromEntries(Object.entries(path).map(([name, x]) => [name, Array.from(x)])) : null;
 }
 
 /** Modal response of a key divided by its gain, with the knock as a WAV file of 32-bit floats. */
-export function responseOf({ modal_response: measured, string, geometry, gain }) {
-  const { pole, modal_amplitudes: amplitudes, velocity_gain: velocityGain, knock, rate } = measured;
+export function responseOf({ modal_response: measured, gain }) {
+  const { partial, pole, modal_amplitudes: amplitudes, velocity_gain: velocityGain, knock, rate } = measured;
   const list = (column, factor = 1) => Array.from(column, (x) => x * factor);
   const row = ({ re, im }, factor) => ({ real: list(re, factor), imag: list(im, factor) });
-  const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
-  const frequency = list(pole.im, 1 / (2 * Math.PI));
   return {
-    modes: { partial: frequency.map((f) => Math.max(Math.round(partialOf(f, f0, B)), 1)), frequency,
-      decay: list(pole.re, -1) },
+    modes: { partial: list(partial), frequency: list(pole.im, 1 / (2 * Math.PI)), decay: list(pole.re, -1) },
     modal_amplitudes: amplitudes.map((channel) => row(channel, 1 / gain)),
     velocity_gain: velocityGain && { velocity: velocityGain.velocity,
       strokes: velocityGain.strokes.map((stroke) => row(stroke)) },
-    knock: knock[0]?.length
-      ? { wav: base64(encodeWav(knock.map((x) => x.map((y) => y / gain)), rate)), scale: 1, rate }
-      : null,
+    knock: knock[0]?.length ? { ...soundOf(knock, 1 / gain, rate), rate } : null,
   };
 }
 

@@ -9,21 +9,25 @@ import base64
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
+from ..conversions import hertz_of
 from ..dsp.filters import resample
 from ..errors import ParameterError
 from ..felt.soft_skin import SOFT_SKIN, SoftHammer
 from ..instrument import Instrument
-from ..instrument.dampers import damper_rate
-from ..literature import reference_compression
+from ..instrument.noise_floor import noise_entry
+from ..literature import reference_compression, typical_strings
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
 from ..playback.voice import CHANNELS, KNOCK_RATES
+from ..schema.dampers import LAST_DAMPER, Dampers
+from ..schema.decode import builtins_of
 from ..schema.instrument import KeyValue
 
 # Samples of a knock that share a scale.
@@ -60,6 +64,7 @@ def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str
     """
     responses = [key.note.modal_response for key in instrument.keys.values()]
     rates = [response.rate for response in responses if response is not None and response.knock.size]
+    rates += [] if instrument.release is None else [instrument.release.rate]
     size = 0
     for knocks in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
         payload = _encode(instrument, knocks)
@@ -78,13 +83,17 @@ def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
         "name": instrument.name,
         "velocity": {"at_64": instrument.velocity.at_64, "rise": instrument.velocity.rise},
         "even": instrument.even,
+        "bridge": builtins_of(instrument.bridge),
+        "dampers": builtins_of(instrument.dampers),
+        "releases": _releases(instrument, knocks),
+        "noise": _noise(instrument),
         "keys": [
             {
                 "midi": midi,
                 "note": midi_to_note(midi),
                 "recorded": key.fit is not None,
                 "state": key.state,
-                **encode_note(key.note, midi, knocks),
+                **encode_note(key.note, midi, knocks, instrument.dampers),
                 "intervals": {name: _rounded(*span) for name, span in slider_intervals(key.values).items()},
                 "values": {name: _rounded(x.value, *x.interval) for name, x in key.values.items() if name in shown},
             }
@@ -123,8 +132,36 @@ def _is_positive(value: KeyValue) -> bool:
     return 0 < value.interval[0] <= value.value <= value.interval[1]
 
 
-def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0]) -> dict[str, Any]:
-    """Encode one key for `prepare.js`.
+def _releases(instrument: Instrument, knocks: KnockEncoding) -> list[dict[str, Any]]:
+    """Encode the release noises as knocks, in as many channels as the page plays of the keys."""
+    release = instrument.release
+    if release is None:
+        return []
+    channels = min(instrument.channels, CHANNELS)
+    encoded = [(midi, *_reduced(sound[:channels], release.rate, knocks)) for midi, sound in release.sounds.items()]
+    return [
+        {"midi": midi, "rate": rate, "bits": knocks.bits, "sound": [_quantise(row, knocks.bits) for row in sound]}
+        for midi, sound, rate in encoded
+    ]
+
+
+def _noise(instrument: Instrument) -> dict[str, Any] | None:
+    """Return the noise floor, which the page does not play but saves."""
+    entry = noise_entry(instrument.noise)
+    return None if entry is None else builtins_of(replace(entry, density=entry.density[:CHANNELS]))
+
+
+def _reduced(sound: np.ndarray, rate: int, knocks: KnockEncoding) -> tuple[np.ndarray, int]:
+    """Reduce the rate of a sound [channels, samples] to that of knocks; also return its rate."""
+    if not sound.shape[-1] or rate <= knocks.rate:
+        return sound, rate
+    return resample(sound, rate, int(knocks.rate)), int(knocks.rate)
+
+
+def encode_note(
+    note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0], dampers: Dampers | None = None
+) -> dict[str, Any]:
+    """Encode one key for `prepare.js`. Without `dampers` it has that of the literature.
 
     Raises
     ------
@@ -141,7 +178,8 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
         for part in ("string", "hammer", "geometry")
     }
     entry |= {"quantity": note.quantity, "gain": float(note.gain)}
-    entry |= {"damper": damper_rate(midi), "compression": reference_compression(midi)}
+    entry |= {"damper": _damper(midi, dampers or Dampers()), "strings": typical_strings(midi)}
+    entry |= {"compression": reference_compression(midi)}
     if note.modal_response is not None:
         entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knocks)
     elif note.path is not None:
@@ -150,13 +188,18 @@ def encode_note(note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0
     return entry
 
 
+def _damper(midi: int, dampers: Dampers) -> dict[str, float] | None:
+    """Return the rate of a damper at the fundamental of its key, and its exponent over frequency."""
+    hertz = hertz_of(midi)
+    rate = float(dampers.rates(midi, np.array([hertz]))[0])
+    return None if midi > LAST_DAMPER else {"rate": rate, "hertz": hertz, "slope": dampers.slope}
+
+
 def _modal_response(response: ModalResponse, knocks: KnockEncoding) -> dict[str, Any]:
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
-    knock, rate = response.knock[:CHANNELS], response.rate
-    if knock.shape[-1] and rate > knocks.rate:
-        rate = int(knocks.rate)
-        knock = resample(knock, response.rate, rate)
+    knock, rate = _reduced(response.knock[:CHANNELS], response.rate, knocks)
     return {
+        "partial": _base64(response.partial, "<u1" if response.partial.max(initial=0) < 256 else "<u2"),
         "decay": _base64(-np.real(response.pole)),
         "omega": _base64(np.imag(response.pole), "<f8"),
         "modal_amplitudes": _rows(response.pattern[:CHANNELS]),
@@ -189,5 +232,5 @@ def _quantise(samples: np.ndarray, bits: int) -> dict[str, str]:
 
 
 def _base64(values: np.ndarray, kind: str = "<f4") -> str:
-    values = np.round(values) if "i" in kind else values
+    values = np.round(values) if kind[1] in "iu" else values
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()

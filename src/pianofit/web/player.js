@@ -5,6 +5,7 @@ const LONGEST = 600; // s, length of the record that can be saved as MIDI
 const LONGEST_SOUND = 60; // s, part of it that can be saved as WAV
 const TAIL = 6; // s after the last event in the WAV file
 const PAUSE = 20; // ms between tables that are sent during playback
+const SETTLED = 300; // ms without a further change of a string, after which free strings are computed
 
 /** Append an element of `kind` with `properties` to `parent`. */
 function put(parent, kind, properties = {}) {
@@ -38,9 +39,11 @@ class Player {
     return new Player(instrument, code, await import(blob(code.engine)));
   }
 
-  constructor({ name, keys, velocity, even }, code, modules) {
-    Object.assign(this, modules, { code, name, velocity, even, pedal: false, volume: 1, tables: new Map(), sent: new Set(),
-      fittedTables: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
+  constructor({ name, keys, velocity, even, bridge, dampers, releases = [], noise = null }, code, modules) {
+    Object.assign(this, modules, { code, name, velocity, even, bridge, dampers, noise, volume: 1, tables: new Map(),
+      sent: new Set(), fittedTables: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
+    Object.assign(this, { pedals: new Map(), range: modules.PEDAL_RANGE, hasResonance: true, free: null, responses: new Map() });
+    this.releases = this.decodeReleases(releases);
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // keys with the changes of the sliders
   }
@@ -73,6 +76,37 @@ class Player {
     }
   }
 
+  /** Free strings with the current changes, computed on first use; null for a note alone. */
+  strings() {
+    if (!this.bridge || this.keys.size < 2) return null;
+    const keys = new Map([...this.keys.keys()].map((midi) => [midi, this.now[midi]]));
+    return (this.free ??= new this.FreeStrings(keys, this.bridge, RATE));
+  }
+
+  /** What a stroke on a key leaves on free strings, computed on first use. */
+  response(midi) {
+    if (!this.responses.has(midi)) this.responses.set(midi, this.strings().response(midi));
+    return this.responses.get(midi);
+  }
+
+  /** Compute the free strings and all responses, and send them; `progress` gets the number of keys. */
+  async prepareStrings(progress = () => {}) {
+    const free = this.strings(), order = [...this.keys.keys()].sort((a, b) => Math.abs(a - 60) - Math.abs(b - 60));
+    if (!free) return;
+    this.port?.postMessage({ do: "strings", strings: free.data });
+    for (const [done, midi] of order.entries()) {
+      await new Promise((go) => setTimeout(go));
+      if (this.free !== free) return; // a string was changed
+      this.port?.postMessage({ do: "response", midi, response: this.response(midi) });
+      progress(done + 1, order.length);
+    }
+  }
+
+  /** Noises of keys that are let go, computed on first use. */
+  noises() {
+    return (this.noisesOfKeys ??= this.releaseNoises(this.releases, this.keys.keys(), RATE));
+  }
+
   /** Start the audio, which browsers allow only after a user gesture. Throws the error of the browser. */
   start() {
     return (this.started ??= this._start());
@@ -88,6 +122,9 @@ class Player {
     node.onprocessorerror = () => this.onerror?.(new Error("the audio thread has stopped; reload the page"));
     Object.assign(this, { context, node, port: node.port });
     this.port.postMessage({ do: "volume", volume: this.volume });
+    this.port.postMessage({ do: "range", range: this.range });
+    this.port.postMessage({ do: "resonance", isOn: this.hasResonance });
+    if (this.releases.length) this.port.postMessage({ do: "releases", releases: this.noises() });
     await context.resume();
     this._sendAll();
   }
@@ -102,6 +139,11 @@ class Player {
     for (const midi of [...this.tables.keys()]) {
       await new Promise((go) => setTimeout(go, PAUSE));
       this.send(midi);
+    }
+    if (this.free) this.port.postMessage({ do: "strings", strings: this.free.data });
+    for (const [midi, response] of this.responses) {
+      await new Promise((go) => setTimeout(go, PAUSE));
+      this.port.postMessage({ do: "response", midi, response });
     }
   }
 
@@ -145,13 +187,25 @@ class Player {
     return this.act({ do: "on", midi, velocity: this.speed(midiVelocity) });
   }
 
-  off(midi) {
-    return this.act({ do: "off", midi });
+  off(midi, velocity) {
+    return this.act({ do: "off", midi, velocity });
   }
 
-  setPedal(down) {
-    this.pedal = down;
-    return this.act({ do: "pedal", down });
+  /** Move a pedal: MIDI controller 64, 66 or 67, value 0 to 127. */
+  control(controller, value) {
+    this.pedals.set(controller, value);
+    return this.act({ do: "control", controller, value });
+  }
+
+  /** Set the values of controller 64 between which dampers are lifted, {low, high}. */
+  setRange(range) {
+    this.range = range;
+    this.port?.postMessage({ do: "range", range });
+  }
+
+  setResonance(isOn) {
+    this.hasResonance = isOn;
+    this.port?.postMessage({ do: "resonance", isOn });
   }
 
   setVolume(db) {
@@ -183,6 +237,10 @@ class Player {
     } else {
       this.tables.delete(midi);
       this.sent.delete(midi);
+      this.free = null;
+      this.responses.clear();
+      clearTimeout(this.changing);
+      this.changing = setTimeout(() => this.prepareStrings(), SETTLED);
     }
   }
 
@@ -206,13 +264,20 @@ class Player {
     const blocks = Math.ceil((seconds * RATE) / this.BLOCK);
     const sound = [0, 1].map(() => new Float32Array(blocks * this.BLOCK));
     const block = [0, 1].map(() => new Float64Array(this.BLOCK));
-    for (const { midi } of record) if (midi && !engine.tables.has(midi)) engine.setKey(midi, this.table(midi));
+    const keys = new Set(record.flatMap((event) => (event.do === "on" ? [event.midi] : [])));
+    for (const midi of keys) engine.setKey(midi, this.table(midi));
+    if (this.hasResonance && this.strings()) {
+      engine.setStrings(this.strings().data);
+      for (const midi of keys) engine.setResponse(midi, this.response(midi));
+    }
+    engine.setReleases(this.noises());
+    engine.setRange(this.range);
     for (let i = 0, next = 0; i < blocks; i++) {
       for (; next < record.length && record[next].at - first <= (i * this.BLOCK) / RATE; next++) {
         const event = record[next];
         if (event.do === "on") engine.noteOn(event.midi, event.velocity);
-        if (event.do === "off") engine.noteOff(event.midi);
-        if (event.do === "pedal") engine.setPedal(event.down);
+        if (event.do === "off") engine.noteOff(event.midi, event.velocity);
+        if (event.do === "control") engine.control(event.controller, event.value);
         if (event.do === "volume") output.volume = event.volume;
         if (event.do === "panic") engine.panic();
       }

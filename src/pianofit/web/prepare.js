@@ -10,6 +10,7 @@
 // This module uses no DOM and no timers, so it also runs in node and in a notebook.
 
 import { BLOCK } from "./contact.js";
+import { dampingRates } from "./pedals.js";
 import { convolve, fft, lowpass, resample } from "./signal.js";
 
 const LOWEST_RATE = 88000; // Hz, of the contact, see model/simulate.py
@@ -36,6 +37,17 @@ function numbers(text, kind = Float32Array) {
 
 const SCALE_BLOCK = 256; // samples of a knock that share a scale, see payload.py
 
+/** Samples of a channel, see payload.py. */
+function samples({ scale, whole }, bits) {
+  const scales = numbers(scale), integers = numbers(whole, bits === 8 ? Int8Array : Int16Array);
+  return integers.map((x, n) => x * scales[Math.floor(n / SCALE_BLOCK)]);
+}
+
+/** Decode the release noises of payload.py: [{midi, sound: [channels], rate}]. */
+export function decodeReleases(releases) {
+  return releases.map(({ midi, sound, bits, rate }) => ({ midi, rate, sound: sound.map((x) => samples(x, bits)) }));
+}
+
 /** Decode an entry of payload.py to a key for `prepare`. */
 export function decode(entry) {
   const { path, modal_response: encoded, ...key } = entry;
@@ -44,18 +56,16 @@ export function decode(entry) {
   return key;
 }
 
-function decodeResponse({ decay, omega, modal_amplitudes, velocity_gain, knock, bits, rate }) {
+function decodeResponse({ partial, decay, omega, modal_amplitudes, velocity_gain, knock, bits, rate }) {
   const pair = (column) => ({ re, im }) => ({ re: column(re), im: column(im) });
   const gain = (text) => numbers(text, Int16Array).map((x) => x * velocity_gain.scale);
-  const samples = ({ scale, whole }) => {
-    const scales = numbers(scale), integers = numbers(whole, bits === 8 ? Int8Array : Int16Array);
-    return integers.map((x, n) => x * scales[Math.floor(n / SCALE_BLOCK)]);
-  };
+  const count = numbers(decay).length, kind = atob(partial).length === count ? Uint8Array : Uint16Array;
   return {
+    partial: numbers(partial, kind),
     pole: { re: numbers(decay).map((x) => -x), im: numbers(omega, Float64Array) },
     modal_amplitudes: modal_amplitudes.map(pair(numbers)),
     velocity_gain: velocity_gain && { velocity: velocity_gain.velocity, strokes: velocity_gain.strokes.map(pair(gain)) },
-    knock: knock.map(samples),
+    knock: knock.map((channel) => samples(channel, bits)),
     rate,
   };
 }
@@ -95,7 +105,7 @@ export function raisedCosineWeights(geometry, count) {
 }
 
 /** Contact steps per sample. */
-function contactRatio(string, geometry, rate) {
+export function contactRatio(string, geometry, rate) {
   const strong = raisedCosineWeights(geometry, MOST_MODES).findLastIndex((x) => Math.abs(x) > FAINT_WEIGHT) + 1;
   const needed = Math.min(ENOUGH_MODES, strong || ENOUGH_MODES);
   const wanted = Math.max(LOWEST_RATE, (1.01 * partials(string, geometry.length, needed)[needed - 1]) / HIGHEST);
@@ -103,7 +113,7 @@ function contactRatio(string, geometry, rate) {
 }
 
 /** Mode table of the string at the contact rate, Hz; see model/modes.py. Complex columns are pairs {re, im}. */
-function modeTable(key, rate) {
+export function modeTable(key, rate) {
   const { string, geometry } = key, step = 1 / rate, a = step / 2, all = partials(string, geometry.length, MOST_MODES);
   const below = all.filter((f) => f < HIGHEST * rate).length;
   const count = Math.min(MOST_MODES, 64 * Math.ceil(below / 64));
@@ -149,7 +159,7 @@ function pickupOf({ quantity, string, geometry }, beta, k, alpha, turn) {
 }
 
 /** Level of each mode in the path filter, dB; see `sample_at_modes` in model/output_path.py. */
-function sampleAtModes(path, pole) {
+export function sampleAtModes(path, pole) {
   const count = pole.re.length, size = Float64Array.from(pole.re, (x, k) => Math.hypot(x, pole.im[k]) / (2 * Math.PI));
   const db = new Float64Array(count), last = path.frequency.length - 1;
   for (let k = 0; k < count; k++) {
@@ -248,7 +258,8 @@ function measuredResponse({ modal_response: measured }, rate) {
   // The lead is padded to whole blocks, because dampers move at the beginning of blocks.
   const knockLead = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(knockLead / BLOCK), padding = lead - knockLead;
   const kernel = measured.knock.map((x) => delayed(padding, resample(x, measured.rate, rate)));
-  const response = { pole, logZ, gain, velocityGain, kernel, ratio: 1, lead, padding, edge: EDGE };
+  const prompt = promptModes(pole, column(measured.partial));
+  const response = { pole, logZ, gain, velocityGain, prompt, kernel, ratio: 1, lead, padding, edge: EDGE };
   return { ...response, ...excite(response, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
 }
 
@@ -283,26 +294,53 @@ function cancelStaticDeflection({ logZ, lead }, added, knock) {
   return out;
 }
 
-/** The response to a stroke at `velocity`, m/s: the modes have their velocity gain. */
-export function atVelocity(response, velocity) {
-  if (!response.velocityGain) return response;
-  const { velocity: measured, strokes } = response.velocityGain, last = measured.length - 1;
-  const above = measured.findIndex((v) => v >= velocity), high = above < 0 ? last : above, low = Math.max(high - 1, 0);
-  const isOutside = high === low || above < 0;
+/** Whether each mode decays at least as fast as the geometric mean of the fastest and slowest of its partial. */
+function promptModes(pole, partial) {
+  const ends = new Map();
+  partial.forEach((k, m) => {
+    const [slowest, fastest] = ends.get(k) ?? [Infinity, 0], rate = -pole.re[m];
+    ends.set(k, [Math.min(slowest, rate), Math.max(fastest, rate)]);
+  });
+  return Uint8Array.from(partial, (k, m) => -pole.re[m] >= Math.sqrt(ends.get(k)[0] * ends.get(k)[1]) * (1 - 1e-12));
+}
+
+/** Velocity gain of the modes at `velocity`, m/s. */
+function gainAt({ velocity: measured, strokes }, velocity) {
+  const last = measured.length - 1, above = measured.findIndex((v) => v >= velocity);
+  const high = above < 0 ? last : above, low = Math.max(high - 1, 0), isOutside = high === low || above < 0;
   const share = isOutside ? 1 : Math.log(velocity / measured[low]) / Math.log(measured[high] / measured[low]);
   const mixed = (part) => strokes[low][part].map((x, k) => x + share * (strokes[high][part][k] - x));
-  const excitation = { re: mixed("re"), im: mixed("im") };
-  const added = { re: excitation.re.map((x) => x - 1), im: excitation.im };
-  const kernel = response.kernel.map((x, i) =>
-    (x.length > response.lead ? cancelStaticDeflection(response, times(response.gain[i], added), x) : x));
-  return { ...excite(response, excitation), kernel };
+  return { re: mixed("re"), im: mixed("im") };
+}
+
+const scaled = ({ re, im }, factor) => ({ re: re.map((x) => factor * x), im: im.map((x) => factor * x) });
+
+/**
+ * The response to a stroke at `velocity`, m/s: the modes have their velocity gain, returned as `velocityFactor`. The
+ * left pedal reduces prompt modes and knock to `share`.
+ */
+export function atVelocity(response, velocity, share = 1) {
+  const { velocityGain, prompt, gain } = response, factor = velocityGain && gainAt(velocityGain, velocity);
+  if (!factor && share === 1) return response;
+  const knock = response.kernel.map((x) => x.map((y) => share * y));
+  if (!prompt) {
+    const direct = response.direct.map((x) => x.map((y) => share * y));
+    return { excitation: scaled(response.excitation, share), direct, kernel: knock };
+  }
+  const weight = Float64Array.from(prompt, (isPrompt) => (isPrompt ? share : 1)), zero = weight.map(() => 0);
+  if (!factor) return { ...excite(response, { re: weight, im: zero }), kernel: knock };
+  const weighted = (column) => column.map((x, k) => x * weight[k]);
+  const added = { re: weighted(factor.re.map((x) => x - 1)), im: weighted(factor.im) };
+  const kernel = knock.map((x, i) => (x.length > response.lead ? cancelStaticDeflection(response, times(gain[i], added), x) : x));
+  const excitation = { re: weighted(factor.re), im: added.im };
+  return { ...excite(response, excitation), kernel, velocityFactor: factor };
 }
 
 /**
  * All tables that the engine needs of a key at a rate, Hz.
  *
  * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H}, geometry: {length, mass, strike_position, width,
- * pickup}, quantity, gain, damper, path?: {frequency, db}, modal_response?: {pole, modal_amplitudes: [channel],
+ * pickup}, quantity, gain, strings, damper, path?: {frequency, db}, modal_response?: {partial, pole, modal_amplitudes: [channel],
  * knock: [channel], rate, velocity_gain?: {velocity, strokes}}}. `pole` and the elements of `modal_amplitudes` and
  * `strokes` are {re, im}. Amplitudes are in file units per N s.
  */
@@ -314,6 +352,8 @@ export function prepare(key, rate) {
   const pairs = ["unit", "excitation", "pole"].map((name) => [name, firstModes(t[name], t.modes)]);
   const columns = ["strikeWeight", "mass", "omega2"].map((name) => [name, t[name].slice(0, t.modes)]);
   const string = { ...Object.fromEntries([...pairs, ...columns]), step: t.step, ratio, compliance: t.compliance };
-  return { string, response, hammer: key.hammer, damper: key.damper, isMeasured,
+  string.damping = dampingRates(key.damper, string.pole);
+  response.damping = isMeasured ? dampingRates(key.damper, response.pole) : string.damping;
+  return { string, response, hammer: key.hammer, strings: key.strings, isMeasured,
     smooth: isMeasured ? lowpass(1, ratio) : null };
 }

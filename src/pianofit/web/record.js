@@ -1,14 +1,16 @@
-// Record of the events of the last minutes: strokes, releases, pedal, volume and silencing, with times in seconds.
+// Record of the events of the last minutes: strokes, releases, pedals, volume and silencing, with times in seconds.
 
 import { writeMidi } from "./midi.js";
+import { PEDALS } from "./pedals.js";
 
 export class Record {
   /** longest: length of the record, s. */
   constructor(longest) {
-    Object.assign(this, { longest, events: [], start: { down: false, volume: 1 } });
+    const pedals = Object.fromEntries(PEDALS.map((controller) => [controller, 0]));
+    Object.assign(this, { longest, events: [], start: { pedals, volume: 1 } });
   }
 
-  /** Add {do: "on" | "off" | "pedal" | "volume" | "panic", ...} at a time, s; the time may precede recorded events. */
+  /** Add {do: "on" | "off" | "control" | "volume" | "panic", ...} at a time, s; it may precede recorded events. */
   add(message, at) {
     let place = this.events.length;
     while (place > 0 && this.events[place - 1].at > at) place--;
@@ -18,20 +20,21 @@ export class Record {
   }
 
   /**
-   * Events of the last `seconds`, from the first stroke on, preceded by the pedal and volume at that time. Releases of
+   * Events of the last `seconds`, from the first stroke on, preceded by pedals and volume at that time. Releases of
    * earlier strokes are left out. Empty without a stroke.
    */
   recent(seconds) {
     const begin = this.events.at(-1)?.at - seconds;
     const first = this.events.findIndex((event) => event.do === "on" && event.at >= begin);
     if (first < 0) return [];
-    const { down, volume } = settings(this.start, this.events.slice(0, first)), held = new Set();
+    const { pedals, volume } = settings(this.start, this.events.slice(0, first)), held = new Set();
     const kept = this.events.slice(first).filter((event) => {
       if (event.do === "on") held.add(event.midi);
       if (event.do === "panic") held.clear();
       return event.do !== "off" || held.delete(event.midi);
     });
-    return [{ at: kept[0].at, do: "pedal", down }, { at: kept[0].at, do: "volume", volume }, ...kept];
+    const { at } = kept[0], moved = PEDALS.map((controller) => ({ at, do: "control", controller, value: pedals[controller] }));
+    return [...moved, { at, do: "volume", volume }, ...kept];
   }
 
   /** The whole record as a MIDI file; `midiVelocity` converts a hammer velocity, m/s. */
@@ -48,11 +51,12 @@ export class Record {
   }
 }
 
-/** State of pedal and volume after events. */
-function settings({ down, volume }, events) {
+/** State of pedals and volume after events. */
+function settings({ pedals, volume }, events) {
+  const moved = { ...pedals };
   for (const event of events) {
-    if (event.do === "pedal") down = event.down;
+    if (event.do === "control") moved[event.controller] = event.value;
     if (event.do === "volume") volume = event.volume;
   }
-  return { down, volume };
+  return { pedals: moved, volume };
 }

@@ -128,15 +128,16 @@ class SongPlayer {
     if (words) this.say(words);
   }
 
-  /** Release all keys and the pedal that were sent to the audio thread and are still held. */
+  /** Release all keys and pedals that were sent to the audio thread and are still held. */
   _release() {
-    const held = new Set(), sent = this.song.events.slice(0, this.sent);
-    for (const { do: kind, midi } of sent) {
+    const held = new Set(), pedals = new Map(), sent = this.song.events.slice(0, this.sent);
+    for (const { do: kind, midi, controller, value } of sent) {
       if (kind === "on") held.add(midi);
       if (kind === "off") held.delete(midi);
+      if (kind === "control") pedals.set(controller, value);
     }
     const ends = Array.from(held, (midi) => ({ do: "off", midi }));
-    if (sent.findLast((event) => event.do === "pedal")?.down) ends.push({ do: "pedal", down: false });
+    for (const [controller, value] of pedals) if (value) ends.push({ do: "control", controller, value: 0 });
     this.player.cancel();
     for (const event of ends) {
       this.player.act(event);

@@ -59,7 +59,7 @@ async function render({ model, el }) {
   strike.addEventListener("pointerdown", down);
   strike.addEventListener("keydown", (event) => ["Enter", " "].includes(event.key) && !event.repeat && down());
   for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) strike.addEventListener(end, up);
-  pedal.addEventListener("change", () => player.setPedal(pedal.checked));
+  pedal.addEventListener("change", () => player.control(player.SUSTAIN, pedal.checked ? 127 : 0));
   velocity.input.addEventListener("input", shown);
   volume.input.addEventListener("input", () => {
     shown();
@@ -76,7 +76,7 @@ async function render({ model, el }) {
   json.onclick = () =>
     save("note.json", JSON.stringify(player.noteOf(midi, speed(), false), null, 1), "application/json");
   root.append(status);
-  player.setPedal(true);
+  player.control(player.SUSTAIN, 127);
   shown();
   return () => player.close();
 }

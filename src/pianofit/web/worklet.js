@@ -19,8 +19,13 @@ class Piano extends AudioWorkletProcessor {
     if (message.do === "key") engine.setKey(message.midi, message.table);
     else if (message.do === "hammer") engine.setHammer(message.midi, message.hammer);
     else if (message.do === "on") engine.noteOn(message.midi, message.velocity);
-    else if (message.do === "off") engine.noteOff(message.midi);
-    else if (message.do === "pedal") engine.setPedal(message.down);
+    else if (message.do === "off") engine.noteOff(message.midi, message.velocity);
+    else if (message.do === "control") engine.control(message.controller, message.value);
+    else if (message.do === "range") engine.setRange(message.range);
+    else if (message.do === "resonance") engine.setResonance(message.isOn);
+    else if (message.do === "strings") engine.setStrings(message.strings);
+    else if (message.do === "response") engine.setResponse(message.midi, message.response);
+    else if (message.do === "releases") engine.setReleases(message.releases);
     else if (message.do === "volume") this.output.volume = message.volume;
     else if (message.do === "cancel") this.waiting = [];
     else if (message.do === "panic") this.fading = true;
