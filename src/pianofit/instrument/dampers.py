@@ -17,11 +17,6 @@ from ..schema.extras import KeyExtras
 KEY_SD = (0.15, 0.1)
 
 
-def damper_rate(midi: int) -> float:
-    """Return the rate that the literature's damper adds at the fundamental of a key, 1/s; 0 without damper."""
-    return float(Dampers().rates(midi, np.array([hertz_of(midi)]))[0])
-
-
 def damper_law(extras: Sequence[KeyExtras]) -> Dampers:
     """Return the law of greatest posterior density: weighted least squares with the literature as prior."""
     measured = [key for key in extras if key.dampers and key.midi <= LAST_DAMPER]
