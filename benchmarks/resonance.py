@@ -33,10 +33,10 @@ SONG_SECONDS, NOTES_A_SECOND = 20, 20
 BAR = 0.5  # s
 
 
-def strike(instrument: Instrument, key: int, pedal: int) -> np.ndarray:
+def strike(instrument: Instrument, key: int, pedal: int, resonance: float) -> np.ndarray:
     """One stroke under a pedal, mean of the channels [samples]."""
     song = Song({key: [(0.5, 64), (4.5, 0)]}, [(0.0, pedal)], 4.5, 1)
-    samples = render_song(instrument, song, RATE).samples.mean(axis=0)
+    samples = render_song(instrument, song, RATE, options=PlayOptions(resonance=resonance)).samples.mean(axis=0)
     return np.pad(samples, (0, 6 * RATE))[round((0.5 + instrument.pre_onset_s) * RATE) :][: 4 * RATE]
 
 
@@ -50,12 +50,12 @@ def powers(samples: np.ndarray, f0: float, partials: np.ndarray, start: float, s
     return float(power[low & (ratio < BAND)].sum()), float(power[low & (ratio >= BAND)].sum())
 
 
-def row(instrument: Instrument, key: int) -> str:
+def row(instrument: Instrument, key: int, resonance: float) -> str:
     """Decay and sound between partials with the pedal up and down."""
     note, cells = instrument.note(key, 64), []
     partials = note.frequencies(PARTIALS)
     for pedal in (0, 127):
-        sound = strike(instrument, key, pedal)
+        sound = strike(instrument, key, pedal, resonance)
         spans = [powers(sound, float(note.f0), partials, t, t + 0.5)[0] for t in (0.2, 1.7)]
         between = (
             powers(sound, float(note.f0), partials, 0.5, 1.5)[1] / powers(sound, float(note.f0), partials, 0.0, 0.5)[0]
@@ -100,6 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("instrument")
     parser.add_argument("--noise", action="store_true")
+    parser.add_argument("--resonance", type=float, default=PlayOptions().resonance)
     options = parser.parse_args()
     instrument = load_instrument(options.instrument)
     if options.noise:
@@ -109,16 +110,16 @@ def main() -> None:
     print(f"{'':4}{'decay, dB/s':>16}{'ratio':>7}{'between, dB':>19}")
     print(f"{'key':>4}{'up':>9}{'down':>7}{'':7}{'up':>12}{'down':>7}")
     for key in KEYS:
-        print(row(instrument, key), flush=True)
+        print(row(instrument, key, options.resonance), flush=True)
     song = dense_song()
-    for options in (PlayOptions(resonance=0.0), PlayOptions()):
-        render_song(instrument, song, RATE, options=options)
+    for play in (PlayOptions(resonance=0.0), PlayOptions()):
+        render_song(instrument, song, RATE, options=play)
         start, cpu = time.perf_counter(), time.process_time()
-        sound = render_song(instrument, song, RATE, options=options).samples
+        sound = render_song(instrument, song, RATE, options=play).samples
         seconds = sound.shape[-1] / RATE
         wall, cpu = time.perf_counter() - start, time.process_time() - cpu
         speeds = f"{seconds / wall:.1f} x real time, {seconds / cpu:.1f} x by CPU"
-        print(f"dense song, resonance {options.resonance:g}: {speeds}")
+        print(f"dense song, resonance {play.resonance:g}: {speeds}")
 
 
 if __name__ == "__main__":

@@ -38,16 +38,18 @@ def unison(note: Note, midi: int, admittance: float, random: np.random.Generator
 
 @pytest.mark.parametrize("admittance", [3e-4, 1e-3, 3e-3])
 def test_decays_tell_the_admittance(admittance):
-    """From 200 Hz to 2 kHz within a factor of 1.6. Mistuned strings share their loss, so that the estimate is low."""
+    """From 200 Hz to 2 kHz within a factor of 2.5, and not above. Mistuned strings share their loss."""
     random = np.random.default_rng(1)
     notes = [(midi, unison(true_note(midi), midi, admittance, random)) for midi in KEYS]
     found = measure_bridge(notes)
     at = np.geomspace(200, 2000, 10)
-    assert np.abs(np.log(found.at(at) / admittance)).max() < np.log(1.6)
+    ratio = found.at(at) / admittance
+    assert ratio.max() < 1.1
+    assert ratio.min() > 1 / 2.5
     low, high = found.interval(at)
     assert (low < found.at(at)).all()
     assert (high < 3 * low).all()
-    assert (found.source, found.partials > 40) == ("recordings", True)
+    assert found.source == "recordings"
 
 
 def test_prompt_sound_and_aftersound_are_told_apart():
@@ -56,7 +58,7 @@ def test_prompt_sound_and_aftersound_are_told_apart():
     pattern = np.array([[1.0, 0.03]], complex)
     response = ModalResponse(np.array([3, 3]), pole, np.zeros(2), pattern, np.zeros((1, 0)), 44_100)
     ((hz, excess),) = prompt_excess(response)
-    assert hz == pytest.approx(400.25, abs=0.3)
+    assert hz == pytest.approx(400.0, abs=0.1)
     assert excess == pytest.approx(3.5, rel=0.15)
 
 
@@ -80,3 +82,13 @@ def test_a_law_must_ascend():
         BridgeAdmittance((200.0, 100.0), (1e-3,) * 2, (1e-3,) * 2, (1e-3,) * 2)
     with pytest.raises(ValueError, match="one length"):
         BridgeAdmittance((200.0, 300.0))
+
+
+def test_beats_are_no_decay():
+    """Modes of equal decay, about 1 Hz apart and with random phases, lose nothing to the bridge."""
+    random = np.random.default_rng(2)
+    for _ in range(50):
+        pole = -2.0 + 2j * np.pi * (400 + random.uniform(0, 1, 2))
+        pattern = np.exp(2j * np.pi * random.uniform(size=(1, 2)))
+        response = ModalResponse(np.array([3, 3]), pole, np.zeros(2), pattern, np.zeros((1, 0)), 44_100)
+        assert prompt_excess(response) == []

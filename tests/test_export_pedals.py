@@ -128,11 +128,11 @@ def test_free_strings_sound_under_the_right_pedal(file):
     with_pedal = play(file[0], [(0.0, "cc", 64, 127), stroke], 2.5)
     without = play(file[0], [stroke], 2.5)
     resonant = file[1] * render_song(PIANO, song([(0.0, 127)])).samples[0][: round(2.4 * RATE)]
-    alone = PlayOptions(resonance=False)
+    alone = PlayOptions(resonance=0.0)
     dry = file[1] * render_song(PIANO, song([]), options=alone).samples[0][: round(2.4 * RATE)]
     assert distance_db(resonant, with_pedal) < -30
     assert distance_db(dry, without) < -40
-    assert distance_db(dry, with_pedal) > -12
+    assert distance_db(dry, with_pedal) > -20
     # Pressed after the stroke, the pedal finds the strings in motion; let go, it ends the resonance of a held key.
     moved = play(file[0], [stroke, (0.5, "cc", 64, 127), (1.5, "cc", 64, 0)], 2.5)
     alike = [np.mean((moved - x)[round(a * RATE) : round(b * RATE)] ** 2)

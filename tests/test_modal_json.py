@@ -17,7 +17,7 @@ from pianofit.errors import ParameterError
 from pianofit.export.modal_json import RATE, VELOCITIES, write_modal_json
 from pianofit.instrument import Instrument, write_instrument
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[1] / "examples" / "players"
 SECONDS = 0.4
 
 

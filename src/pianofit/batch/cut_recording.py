@@ -88,7 +88,7 @@ def cut_recording(
     with output_folder(out, force) as folder:
         for i, (stroke, entry) in enumerate(zip(strokes, listed, strict=True)):
             if entry.file:
-                first = max(stroke.onset - round(BEFORE * rate), strokes[i - 1].end if i else 0, 0)
+                first = max(stroke.onset - round(BEFORE * rate), 0)
                 content = encode_pcm(frames[first : stroke.end].T, rate, "flac", BITS.get(kind, 24))
                 replace_file(folder / entry.file, content)
             progress("cutting", (i + 1) / len(strokes))

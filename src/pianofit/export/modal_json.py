@@ -2,8 +2,8 @@
 
     sound(t) = F(t) ∗ (Re Σ_m g_m(v) P_m e^{p_m t} + knock(t))
 
-A program that reads it needs a resonator a mode and a short convolution. `examples/modal_player.py` and
-`examples/modal_player.js` are such programs, of some 30 lines.
+A program that reads it needs a resonator a mode and a short convolution. `examples/players/modal_player.py` and
+`examples/players/modal_player.js` are such programs, of some 30 lines.
 """
 
 from __future__ import annotations

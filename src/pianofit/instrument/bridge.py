@@ -23,7 +23,7 @@ KNOTS = 31.25 * 2.0 ** (0.5 * np.arange(17))
 # Standard deviation of the logarithm about its mean over frequency, and length, octaves, over which it is smooth: the
 # mean value of Skudrzyk, without single resonances of the soundboard. Chosen.
 SHAPE_SD, SHAPE_OCTAVES = 0.5, 1.0
-# Least ratio of both rates of a partial that shows its aftersound.
+# Least ratio of both rates of a partial that shows its aftersound. Chosen: with less, their difference is mostly error.
 LEAST_BEND = 1.25
 # Degrees of freedom of Student's t for the scatter of partials, and rounds of reweighting.
 FREEDOM, ROUNDS = 4.0, 20
@@ -72,24 +72,18 @@ def measure_bridge(notes: Iterable[tuple[int, Note]]) -> BridgeAdmittance:
 def prompt_excess(response: ModalResponse) -> list[tuple[float, float]]:
     """Return frequency, Hz, and decay rate of the prompt sound minus that of the aftersound, 1/s, of partials.
 
-    Σ P e^{pt} decays at the rate -Re Σ P p e^{pt} / Σ P e^{pt}, also where its modes beat. It is taken at the begin of
-    the early decay, because modes that die before it belong to the attack. The aftersound decays as the slowest mode.
-    Partials with one mode are left out, as are partials whose decay hardly bends: they do not show their aftersound.
+    The prompt rate is the mean over the modes of a partial, weighted with their energies at the begin of the early
+    decay, because modes that die before it belong to the attack. It has no interference, so beats do not count as
+    decay. The aftersound decays as the slowest mode. Partials whose decay hardly bends are left out: they do not show
+    their aftersound.
     """
     found = []
     for number in np.unique(response.partial):
         chosen = response.partial == number
-        pole, pattern = response.pole[chosen], response.pattern[:, chosen]
-        pattern = pattern * np.exp(pole * EARLY[0])
-        begin = pattern.sum(axis=1)
-        power = float(np.sum(np.abs(begin) ** 2))
-        if len(pole) < 2 or not power > 0:
-            continue
-        # Mean over channels, weighted with their energy.
-        initial = -float(np.real(np.conj(begin) @ pattern @ pole) / power)
-        late = float(-np.real(pole).max())
-        if initial > LEAST_BEND * late:
-            found.append((float(np.imag(pole).mean()) / (2 * np.pi), initial - late))
+        rate, hz = -np.real(response.pole[chosen]), np.imag(response.pole[chosen]) / (2 * np.pi)
+        energy = np.sum(np.abs(response.pattern[:, chosen]) ** 2, axis=0) * np.exp(-2 * rate * EARLY[0])
+        if energy.sum() > 0 and (prompt := float(energy @ rate / energy.sum())) > LEAST_BEND * rate.min():
+            found.append((float(energy @ hz / energy.sum()), prompt - float(rate.min())))
     return found
 
 

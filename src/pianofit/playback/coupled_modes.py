@@ -1,7 +1,7 @@
 """Modes of strings that stand on one bridge: how they exchange energy.
 
-Each mode has an amplitude a whose square is its energy. Alone on the bridge it decays at its pole, p. The bridge, of
-real admittance Y, adds
+Each mode has an amplitude a whose square is twice its energy. Alone on the bridge it decays at its pole, p. The bridge,
+of real admittance Y, adds
 
     da_i/dt = p_i a_i - v_i Σ_j v_j a_j        j: modes of other strings,   v_i = ± √α_i,   α = (T/L) Y
 
@@ -100,9 +100,9 @@ class CoupledModes:
         source : indices of the struck modes; they get nothing themselves [struck].
         strength : their amplitudes after the impulse, complex [struck].
 
-        A vibration Re(A e^{qt}) from t = 0 on has the transform A/(s - q) + A*/(s - q*), halved. At the pole of another
-        mode it gives the amplitude of that mode. The response to any force is this times the transform of the force at
-        the pole.
+        A vibration Re(A e^{qt}) from t = 0 on has half the transform A/(s - q) + A*/(s - q*). The rule above has twice
+        the force of a real motion. At the pole of another mode it gives the amplitude of that mode. The response to any
+        force is this times the transform of the force at the pole.
         """
         q, target = self.pole[source], self.pole
         weight = self.drive[source] * strength

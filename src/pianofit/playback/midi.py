@@ -28,6 +28,8 @@ MOST_SONG_SECONDS = 1800.0
 # Kinds of channel messages, controllers, and the channel of drums, from 0.
 NOTE_OFF, NOTE_ON, CONTROL = 8, 9, 11
 SUSTAIN, SOSTENUTO, SOFT, SOUND_OFF, NOTES_OFF = 64, 66, 67, 120, 123
+# Controllers that release pedals: "reset all controllers".
+RESETS = {121: (SUSTAIN, SOSTENUTO, SOFT)}
 # Value from which on MIDI defines a pedal as down.
 SWITCH = 64
 DRUMS = 9
@@ -126,8 +128,8 @@ def _song(file: MidiFile, name: str) -> Song:
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
-        if kind == CONTROL and first in pedals:
-            pedals[first].append((now, channel, second))
+        if kind == CONTROL and first in (*pedals, *RESETS):
+            _move_pedals(pedals, now, channel, first, second)
         elif kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
             for key in used_keys.pop(channel, ()):
                 key_events[key][channel].append(_KeyEvent(order, now, END_ALL))
@@ -155,6 +157,14 @@ def _song(file: MidiFile, name: str) -> Song:
         moved[SOFT],
         release_velocities,
     )
+
+
+def _move_pedals(
+    pedals: dict[int, list[tuple[float, int, int]]], now: float, channel: int, controller: int, value: int
+) -> None:
+    """Add (seconds, channel, value) to the pedals that a controller moves."""
+    for pedal in RESETS.get(controller, (controller,)):
+        pedals[pedal].append((now, channel, 0 if controller in RESETS else value))
 
 
 def _highest_values(changes: Sequence[tuple[float, int, int]]) -> list[tuple[float, int]]:

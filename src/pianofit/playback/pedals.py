@@ -69,13 +69,15 @@ def key_motions(song: Song, key: int, pedal_range: PedalRange, end: float) -> li
     moves += [(t, 2, value) for t, value in song.una_corda]
     moves += [(t, 3, velocity) for t, velocity in [*song.keys.get(key, ()), (end, 0)]]
     moves.sort(key=lambda move: move[:2])
-    pedal, is_down, is_caught, soft, before = 1.0, False, False, 0.0, 1.0
+    pedal, soft, before = 1.0, 0.0, 1.0
+    is_down = is_caught = is_holding = False
     motions: list[KeyMotion] = []
     for t, kind, value in moves:
         if kind == 0:
             pedal = pedal_range.contact(value)
         elif kind == 1:
-            is_caught = value >= SWITCH and (is_caught or is_down or before == 0.0)
+            was_holding, is_holding = is_holding, value >= SWITCH
+            is_caught = is_holding and (is_caught if was_holding else before == 0.0)
         elif kind == 2:
             soft = value / 127
         else:

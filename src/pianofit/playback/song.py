@@ -27,6 +27,8 @@ from .voice import StringVoice
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
 # MIDI release velocity of a key that states none.
 RELEASE_VELOCITY = 64
+# Level of resonance below the peak of the song at which it ends, dB.
+INAUDIBLE_DB = -110.0
 # Largest gain reduction by the limiter. Any further reduction applies to the whole song.
 MOST_LIMITED_DB = 3.0
 # Samples of free vibration that are computed at once.
@@ -169,12 +171,13 @@ def render_song(
             lambda share: progress("playing", 0.7 + 0.28 * share),
         )
         total[:, lead:] += added
-        last = max(last, lead + int(np.flatnonzero(np.abs(added).max(axis=0) > SILENCE).max(initial=-1)) + 1)
+        heard = np.abs(added).max(axis=0) > max(10 ** (INAUDIBLE_DB / 20) * np.abs(total).max(), SILENCE)
+        last = max(last, lead + int(np.flatnonzero(heard).max(initial=-1)) + 1)
     last = max(last, _add_releases(total, instrument, song, rate, lead))
     if options.noise and instrument.noise is not None:
         total[:, :last] += instrument.noise.sound(last, rate, options.seed)
-    fade = round(LAST_FADE * rate)  # the treble has no dampers
-    total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
+    fade = min(round(LAST_FADE * rate), last)  # the treble has no dampers, and noise has no end
+    total[:, last - fade : last] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(10 ** (options.gain_db / 20) * total[:, :last], rate)
     return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 

@@ -102,7 +102,7 @@ class StringVoice:
         drive, force = strike_string(self.table, hammer, self.string.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
-        self.contact, self.force = 0.0, force
+        self.contact, self.force = 0.0, force._replace(force=shift.share * force.force)
         sound = self._free(samples)  # advances all states to the end of the contact
         self.string.state = self.string.state + shift.share * self.table.unit * self._residual_drive(drive)
         onset = self._onset(drive, force, samples, shift)

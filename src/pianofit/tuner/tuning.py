@@ -24,6 +24,7 @@ from ..instrument.key_quantities import LAW_QUANTITIES, literature
 from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurement, joint_laws
 from ..io.files import printable
 from ..io.number_format import counted
+from ..literature import typical_strings
 from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
 from ..schema.decode import load_json
 from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT, OwnFit
@@ -122,7 +123,7 @@ def tuning_of(recorded: Recorded, posterior: JointLaws, a4: float, octave: Octav
         if midi not in measured:
             own["deviation"] = None
         own["curves"] = {name: curve[i] for name, curve in by_type.items()}
-        own |= _unison(recorded.responses.get(midi))
+        own |= _unison(midi, recorded.responses.get(midi))
         keys.append(TunedKey(midi=midi, note=midi_to_note(midi), recorded=midi in measured, **own))
     return _listed(recorded, tuple(keys), a4, octave)
 
@@ -191,27 +192,27 @@ def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
 # --- beats ------------------------------------------------------------------------------------------------------------
 
 
-def _unison(response: ModalResponse | None) -> dict[str, Any]:
+def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
     """Beats of a key, and the split of its unison.
 
     A mistuned unison splits all partials by the same number of cents. So the split is the median over all partials in
-    which the preferred split would be a measurable beat. A partial that does not beat counts as 0 cents.
+    which the preferred split would be a measurable beat. A partial that does not beat counts as 0 cents. The interval
+    is that of a median, from the order of the partials. A key with one string has no unison.
     """
-    decays = [] if response is None else decays_and_beats(response)
-    rows = [_split(partial) for partial in decays if partial.frequency >= SLOWEST_BEAT / PREFERRED_RATIO]
-    beats = tuple(_beat(partial) for partial in decays if not math.isnan(partial.beat_frequency))
-    if not rows:
+    decays = [] if response is None or round(typical_strings(midi)) < 2 else decays_and_beats(response)
+    chosen = [partial for partial in decays if partial.frequency >= SLOWEST_BEAT / PREFERRED_RATIO]
+    beats = tuple(_beat(partial) for partial in chosen if not math.isnan(partial.beat_frequency))
+    if not chosen:
         return {"beats": beats}
-    value, low, high = np.median(rows, axis=0).tolist()
-    return {"beats": beats, "unison_cents": IntervalValue(value, (low, high))}
+    cents = sorted(_split(partial) for partial in chosen)
+    half, middle = HALF_WIDTH_95 * math.sqrt(len(cents)) / 2, len(cents) / 2
+    low, high = cents[max(math.floor(middle - half), 0)], cents[min(math.ceil(middle + half), len(cents)) - 1]
+    return {"beats": beats, "unison_cents": IntervalValue(float(np.median(cents)), (low, high))}
 
 
-def _split(partial: PartialDecay) -> tuple[float, float, float]:
-    """Split of a partial and the ends of its interval, cents."""
-    if math.isnan(partial.beat_frequency):
-        return 0.0, 0.0, CENTS * math.log1p(SLOWEST_BEAT / partial.frequency)
-    cents = _beat(partial).cents
-    return cents.value, *cents.interval
+def _split(partial: PartialDecay) -> float:
+    """Split of a partial, cents; 0 if it does not beat."""
+    return 0.0 if math.isnan(partial.beat_frequency) else _beat(partial).cents.value
 
 
 def _beat(partial: PartialDecay) -> PartialBeat:

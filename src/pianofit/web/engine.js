@@ -141,7 +141,7 @@ class Voice {
     const drive = pedal.share === 1 ? { re, im } : { re: re.map((x) => pedal.share * x), im: im.map((x) => pedal.share * x) };
     const response = atVelocity(table.response, velocity, pedal.share);
     this.strokes.push({ contact: this.contact, impulses, at: 0, drive, ...response });
-    onBegin?.(this.contact, response.velocityFactor);
+    onBegin?.(this.contact, response.velocityFactor, pedal.share);
   }
 
   /** Add a block to out [channels]. */
@@ -264,8 +264,8 @@ export class Engine {
     if (!this.struck.has(midi)) this.struck.set(midi, this.blocks);
     const delayBlocks = (this.lead - table.response.lead) / BLOCK;
     if (!this.voices.has(midi)) this.voices.set(midi, new Voice(table, this.rate, delayBlocks));
-    const voice = this.voices.get(midi), onBegin = (contact, factor) =>
-      this.resonance?.strike(midi, voice, contact, this.blocks - voice.delayBlocks, factor);
+    const voice = this.voices.get(midi), onBegin = (contact, factor, share) =>
+      this.resonance?.strike(midi, voice, contact, this.blocks - voice.delayBlocks, factor, share);
     voice.waiting.push({ velocity, soft: this.dampers.soft, blocks: voice.delayBlocks, onBegin });
     this._moveDampers();
   }

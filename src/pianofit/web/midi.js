@@ -14,7 +14,7 @@ const NOTE_OFF = 8, NOTE_ON = 9, CONTROL = 11; // upper half of a status byte
 const ONE_BYTE = [12, 13]; // program change and channel pressure have one data byte
 const SYSEX = 0xf0, ESCAPE = 0xf7, META = 0xff, END_OF_TRACK = 0x2f, SET_TEMPO = 0x51;
 const SYSTEM_LENGTHS = { 0xf1: 1, 0xf2: 2, 0xf3: 1 }; // data bytes of system messages
-const SOUND_OFF = 120, NOTES_OFF = 123; // controllers
+const SOUND_OFF = 120, RESET = 121, NOTES_OFF = 123; // controllers
 const RELEASE_VELOCITY = 64; // of a key that states none
 const DRUMS = 9; // the tenth channel
 const LAST_HELD = 3; // s from the end of a song to the release of keys without note-off
@@ -222,10 +222,15 @@ export function readMidi(bytes) {
   };
   messages.forEach(({ at, kind, channel, first, second }, order) => {
     if (channel === DRUMS) return;
-    if (kind === CONTROL && pedals.has(first)) {
-      const pedal = pedals.get(first), highest = Math.max(...pedal.channels.set(channel, second).values());
-      if (highest !== pedal.highest) events.push({ order, at, do: "control", controller: first, value: highest });
+    const movePedal = (controller, value) => {
+      const pedal = pedals.get(controller), highest = Math.max(...pedal.channels.set(channel, value).values());
+      if (highest !== pedal.highest) events.push({ order, at, do: "control", controller, value: highest });
       pedal.highest = highest; // of all channels
+    };
+    if (kind === CONTROL && pedals.has(first)) {
+      movePedal(first, second);
+    } else if (kind === CONTROL && first === RESET) {
+      for (const controller of PEDALS) movePedal(controller, 0);
     } else if (kind === CONTROL && [SOUND_OFF, NOTES_OFF].includes(first)) {
       for (const [midi, channels] of keys) if (channels.has(channel)) move(midi, channel, { order, at, velocity: END_ALL });
     } else if (kind === NOTE_ON || kind === NOTE_OFF) {

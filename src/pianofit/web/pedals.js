@@ -14,7 +14,7 @@ const FELT_RATIO = 0.7; // stiffness of the felt between the grooves over that i
 /** Positions of keys and pedals. A contact is 1 when a damper rests fully on the strings, and 0 when it is lifted. */
 export class Dampers {
   constructor() {
-    Object.assign(this, { range: PEDAL_RANGE, pedal: 0, soft: 0, held: new Set(), caught: new Set() });
+    Object.assign(this, { range: PEDAL_RANGE, pedal: 0, soft: 0, held: new Set(), caught: new Set(), isHolding: false });
   }
 
   /** Contact of the damper of a key. */
@@ -33,21 +33,24 @@ export class Dampers {
     if (controller === SUSTAIN) this.pedal = value;
     if (controller === SOFT) this.soft = value / 127;
     if (controller !== SOSTENUTO) return;
-    const keys = value >= SWITCH ? Array.from({ length: MIDI_KEYS }, (_, midi) => midi) : [];
+    const wasDown = this.isHolding;
+    this.isHolding = value >= SWITCH;
+    if (wasDown && this.isHolding) return;
+    const keys = this.isHolding ? Array.from({ length: MIDI_KEYS }, (_, midi) => midi) : [];
     this.caught = new Set(keys.filter((midi) => this.of(midi) === 0));
   }
 }
 
 /** Effect of the left pedal at a position from 0 to 1 on a key with so many strings; see UnaCorda in Python. */
 export function unaCorda(strings, position) {
-  if (!position) return { share: 1, load: 1, felt: 1 };
+  if (!position) return { share: 1, felt: 1 };
   const all = Math.max(Math.round(strings), 1), struck = all > 1 ? all - position : 1;
-  return { share: struck / all, load: all / struck, felt: FELT_RATIO ** position };
+  return { share: struck / all, felt: FELT_RATIO ** position };
 }
 
 /** The hammer as the left pedal moves it. */
-export function softHammer(hammer, { load, felt }) {
-  return { ...hammer, M_H: load * hammer.M_H, K_H: load * felt * hammer.K_H };
+export function softHammer(hammer, { felt }) {
+  return { ...hammer, K_H: felt * hammer.K_H };
 }
 
 /**

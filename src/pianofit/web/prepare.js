@@ -14,6 +14,7 @@ import { dampingRates } from "./pedals.js";
 import { convolve, fft, lowpass, resample } from "./signal.js";
 
 const LOWEST_RATE = 88000; // Hz, of the contact, see model/simulate.py
+const LARGEST_AFTERSOUND = 0.5; // amplitude of an aftersound over that of its whole partial at the begin
 const HIGHEST = 0.4; // modes at or above this fraction of the contact rate are left out
 const ENOUGH_MODES = 30;
 const FAINT_WEIGHT = 1e-3;
@@ -258,7 +259,7 @@ function measuredResponse({ modal_response: measured }, rate) {
   // The lead is padded to whole blocks, because dampers move at the beginning of blocks.
   const knockLead = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(knockLead / BLOCK), padding = lead - knockLead;
   const kernel = measured.knock.map((x) => delayed(padding, resample(x, measured.rate, rate)));
-  const prompt = promptModes(pole, column(measured.partial));
+  const prompt = promptModes(pole, column(measured.partial), gain);
   const response = { pole, logZ, gain, velocityGain, prompt, kernel, ratio: 1, lead, padding, edge: EDGE };
   return { ...response, ...excite(response, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
 }
@@ -294,14 +295,20 @@ function cancelStaticDeflection({ logZ, lead }, added, knock) {
   return out;
 }
 
-/** Whether each mode decays at least as fast as the geometric mean of the fastest and slowest of its partial. */
-function promptModes(pole, partial) {
-  const ends = new Map();
+/** Whether each mode belongs to the prompt sound, and not to the aftersound; see `UnaCorda.weights` in Python. */
+function promptModes(pole, partial, gain) {
+  const partials = new Map();
   partial.forEach((k, m) => {
-    const [slowest, fastest] = ends.get(k) ?? [Infinity, 0], rate = -pole.re[m];
-    ends.set(k, [Math.min(slowest, rate), Math.max(fastest, rate)]);
+    if (!partials.has(k)) partials.set(k, { slowest: Infinity, fastest: 0, begin: gain.map(() => [0, 0]) });
+    const all = partials.get(k), rate = -pole.re[m];
+    Object.assign(all, { slowest: Math.min(all.slowest, rate), fastest: Math.max(all.fastest, rate) });
+    gain.forEach(({ re, im }, c) => (all.begin[c] = [all.begin[c][0] + re[m], all.begin[c][1] + im[m]]));
   });
-  return Uint8Array.from(partial, (k, m) => -pole.re[m] >= Math.sqrt(ends.get(k)[0] * ends.get(k)[1]) * (1 - 1e-12));
+  return Uint8Array.from(partial, (k, m) => {
+    const { slowest, fastest, begin } = partials.get(k), size = Math.hypot(...begin.flat());
+    const isSlow = -pole.re[m] < Math.sqrt(slowest * fastest) * (1 - 1e-12);
+    return !(isSlow && Math.hypot(...gain.flatMap(({ re, im }) => [re[m], im[m]])) <= LARGEST_AFTERSOUND * size);
+  });
 }
 
 /** Velocity gain of the modes at `velocity`, m/s. */

@@ -99,8 +99,8 @@ export class Resonance {
   }
 
   /** Take over a stroke once its force has ended. voice: its `modes` are those of the key; touch: block of the touch. */
-  strike(midi, voice, contact, touch, velocityFactor) {
-    this.pending.push({ midi, voice, contact, touch, velocityFactor, taken: 0 });
+  strike(midi, voice, contact, touch, velocityFactor, share = 1) {
+    this.pending.push({ midi, voice, contact, touch, velocityFactor, share, taken: 0 });
   }
 
   /** Advance to the hop that begins with `block`. contacts: mean over the last hop by index of the key. */
@@ -211,7 +211,7 @@ export class Resonance {
   }
 
   /** Add the amplitudes that a force leaves on modes far from those of its key, `since` s after the touch. */
-  _excite({ re, im }, spectrum, since, { velocityFactor, voice }) {
+  _excite({ re, im }, spectrum, since, { velocityFactor, voice, share = 1 }) {
     const { added, lift, strings, contact, bin, part, count } = this, { pole, damping, key } = strings;
     const { re: a, im: b } = spectrum, { re: addedRe, im: addedIm } = added;
     const turn = this._turnBy(Math.round((since * this.rate) / RATIO) - spectrum.centre);
@@ -220,7 +220,7 @@ export class Resonance {
       if (lift[k] === 0) continue;
       const n = bin[k], f = a[n] + part[k] * (a[n + 1] - a[n]), g = b[n] + part[k] * (b[n + 1] - b[n]);
       const c = re[k] * f - im[k] * g, d = re[k] * g + im[k] * f, x = turn.re[k], y = turn.im[k];
-      let size = gain ? lift[k] * gain(pole.im[k]) : lift[k];
+      let size = share * (gain ? lift[k] * gain(pole.im[k]) : lift[k]);
       if (contact[key[k]] > 0) size *= Math.exp(-contact[key[k]] * damping[k] * since);
       addedRe[k] += size * (x * c - y * d);
       addedIm[k] += size * (x * d + y * c);
