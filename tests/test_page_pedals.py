@@ -147,7 +147,7 @@ def test_a_thousand_bars_of_controllers_do_not_let_the_state_grow():
     assert sizes == {
         "sounding": 0,
         "noises": 0,
-        "history": 8,
+        "history": 9,
         "pending": 0,
         "atRest": True,
         "struck": 0,

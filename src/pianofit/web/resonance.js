@@ -1,6 +1,6 @@
 // The sound of free strings that others excite over the bridge (playback/resonance.py, playback/coupled_modes.py).
 //
-// The amplitudes that the strings have alone, and what other strings add to them, advance in hops of three blocks. The
+// The amplitudes that the strings have alone, and what other strings add to them, advance in hops of four blocks. The
 // sound of the added amplitudes is computed at a quarter of the rate. From hop to hop every amplitude changes linearly
 // in the frame that turns with its mode, so nothing clicks.
 
@@ -8,7 +8,7 @@ import { BLOCK, STRIDE, addDamped, expPole } from "./contact.js";
 import { COMMON, TAPER, zeros } from "./free_strings.js";
 import { lowpass } from "./signal.js";
 
-export const HOP_BLOCKS = 3;
+export const HOP_BLOCKS = 4;
 const RATIO = 4; // of the rate to that of the sound
 const REDUCED = BLOCK / RATIO; // samples of a block at the reduced rate
 const HOP = HOP_BLOCKS * REDUCED; // and of a hop
@@ -142,9 +142,7 @@ export class Resonance {
     if (areMet) {
       summed(second, alone, added, count);
       this._exchange(second, first);
-      this._exchange(first, second);
       addScaled(added, -seconds, first, count);
-      addScaled(added, 0.5 * seconds ** 2, second, count);
     }
     turned(alone, half, count);
     turned(added, half, count);
