@@ -73,9 +73,7 @@ class CoupledModes:
     def step(
         self, alone: np.ndarray, added: np.ndarray, half: np.ndarray, lift: np.ndarray, seconds: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance by one step of time.
-
-        The decays are exact. The exchange is of first order, which takes energy a little too fast and never creates any.
+        """Advance by one step of time, of second order.
 
         Parameters
         ----------
@@ -90,7 +88,8 @@ class CoupledModes:
         Both amplitudes after the step.
         """
         alone, added = alone * half, added * half
-        added = added - seconds * self.exchange(alone + added, lift)
+        first = self.exchange(alone + added, lift)
+        added = added - seconds * first + 0.5 * seconds**2 * self.exchange(first, lift)
         return alone * half, added * half
 
     def far_response(self, source: np.ndarray, strength: np.ndarray) -> np.ndarray:

@@ -142,7 +142,9 @@ export class Resonance {
     if (areMet) {
       summed(second, alone, added, count);
       this._exchange(second, first);
+      this._exchange(first, second);
       addScaled(added, -seconds, first, count);
+      addScaled(added, 0.5 * seconds ** 2, second, count);
     }
     turned(alone, half, count);
     turned(added, half, count);
