@@ -184,7 +184,7 @@ def _interpolated(spectrum: np.ndarray, spacing: float, centre: float, pole: np.
     """Interpolate a spectrum [rows, bins] at poles, about the time `centre` of its signal, s, complex [rows, modes]."""
     place = np.imag(pole) / (2 * np.pi * spacing)
     below = place.astype(int)
-    turn = np.exp(2j * np.pi * spacing * centre * np.array([below, below + 1]))
-    part = place - below
-    at = (1 - part) * turn[0] * spectrum[:, below] + part * turn[1] * spectrum[:, below + 1]
+    bins = np.arange(below.max(initial=0) + 2)
+    turned = spectrum[:, : len(bins)] * np.exp(2j * np.pi * spacing * centre * bins)
+    at = turned[:, below] + (place - below) * (turned[:, below + 1] - turned[:, below])
     return at * np.exp(-pole * centre)

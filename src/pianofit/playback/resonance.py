@@ -114,7 +114,7 @@ def render_resonance(
             continue
         rows = window[heard].reshape(2 * len(heard), -1)
         for channel, sound in enumerate(free.sound[:, heard]):
-            pieces = np.ascontiguousarray(amplitude[:, heard] * sound, np.complex64).view(np.float32) @ rows
+            pieces = np.ascontiguousarray(amplitude[:, heard] * sound).view(float) @ rows
             _overlap_add(out[channel, RESAMPLING_REACH + first * reduced :], pieces, reduced)
     whole = resample(out, 1, ratio) if ratio > 1 else out
     return whole[:, :samples]
@@ -188,8 +188,7 @@ def _hop_window(pole: np.ndarray, reduced: int, rate: float) -> np.ndarray:
     """Sound of a unit real and imaginary amplitude [modes, 2, 2 reduced], from `RESAMPLING_REACH` samples on."""
     sample = np.arange(2 * reduced)
     turn = np.exp(np.outer(pole, (sample + RESAMPLING_REACH) / rate)) * (1 - np.abs(sample / reduced - 1))
-    # Single precision: its rounding lies 140 dB below the sound of the free strings.
-    return np.stack([np.real(turn), -np.imag(turn)], axis=1).astype(np.float32)
+    return np.stack([np.real(turn), -np.imag(turn)], axis=1)
 
 
 def _overlap_add(out: np.ndarray, pieces: np.ndarray, reduced: int) -> None:
