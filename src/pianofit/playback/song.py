@@ -143,7 +143,7 @@ def render_song(
         raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
     pedal_range, end = options.pedal_range, song.seconds + LAST_HELD
     unplayed = _events(key_motions(song, -1, pedal_range, end), rate)
-    contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)), np.float32)
+    contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)))
     total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
     for row, key in zip(contact, sorted(instrument.keys), strict=True):
         events = _events(key_motions(song, key, pedal_range, end), rate) if key in song.keys else unplayed
