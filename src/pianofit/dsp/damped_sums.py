@@ -51,8 +51,7 @@ def sum_damped_modes(
     if audibility_threshold is None:
         audibility_threshold = np.full(len(pole), AMPLITUDE_FLOOR * np.abs(amplitude).max())
     log_z = np.asarray(pole / rate, complex)
-    # Few samples, as between movements of a damper, do not pay for a whole block of powers.
-    within = _powers_within_block(log_z.tobytes()) if count > LARGEST_BLOCK * BLOCKS_PER_CHECK else _parts(log_z, block)
+    within = _powers_within_block(log_z.tobytes(), block)
     begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks + 1], the last for the next chunk
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > audibility_threshold).any(axis=0)
@@ -60,10 +59,10 @@ def sum_damped_modes(
             break
         if not loud.all():
             pole, amplitude, audibility_threshold = pole[loud], amplitude[:, loud], audibility_threshold[loud]
-            within, begins = within[loud, :, :block], begins[loud]
+            within, begins = within[loud], begins[loud]
         chunk = out[:, first : first + blocks * block]
         starts = amplitude[:, None] * begins[:, :-1].T
-        rows = np.ascontiguousarray(starts).view(float) @ within.reshape(-1, within.shape[-1])[:, :block]
+        rows = np.ascontiguousarray(starts).view(float) @ within.reshape(-1, block)
         chunk[:] = rows.reshape(len(amplitude), -1)[:, : chunk.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
@@ -72,20 +71,15 @@ def sum_damped_modes(
 def z_transform_at_poles(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Σ_n x_n z^n, complex [modes]."""
     rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
-    within = _powers_within_block(np.asarray(log_z, complex).tobytes())
+    within = _powers_within_block(np.asarray(log_z, complex).tobytes(), LARGEST_BLOCK)
     real, imag = np.moveaxis(within @ rows.T, 1, 0)  # [modes, blocks]
     return ((real - 1j * imag) * powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
 
 
-@functools.lru_cache(maxsize=4)  # a played key needs free and damped modes, and modes at the contact rate
-def _powers_within_block(log_z: bytes) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], with log z as bytes."""
-    parts = _parts(np.frombuffer(log_z, complex), LARGEST_BLOCK)
+@functools.lru_cache(maxsize=16)  # a played key rings free and damped, for times of several lengths
+def _powers_within_block(log_z: bytes, count: int) -> np.ndarray:
+    """Real part and negative imaginary part of z^n, n < count [modes, 2, count], with log z as bytes."""
+    z = powers(np.frombuffer(log_z, complex), count)
+    parts = np.stack([np.real(z), -np.imag(z)], axis=1)
     parts.flags.writeable = False
     return parts
-
-
-def _parts(log_z: np.ndarray, count: int) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < count [modes, 2, count]."""
-    z = powers(log_z, count)
-    return np.stack([np.real(z), -np.imag(z)], axis=1)

@@ -25,6 +25,8 @@ from scipy import sparse
 # Difference of angular frequencies beyond which modes are coupled by strokes alone, rad/s. A quarter tone at 1 kHz lies
 # within. At this distance a step of time is half a turn, and the taper is 0.
 TAPER = 2 * np.pi * 45.0
+# Struck modes whose far response is computed at once: the arrays of this many fit into a processor cache.
+ROWS_AT_ONCE = 8
 # Most of its loss that a partial can give to the bridge: a margin, so that steps of time cannot create energy.
 MOST_BRIDGE_SHARE = 0.95
 
@@ -39,17 +41,15 @@ class CoupledModes:
     string : number of the string, or of the unison, of each mode. Its modes are not coupled with each other, because
         their poles are those that they have together on the bridge [modes].
     common : share of the motion of the bridge at one string that other strings share, 0 to 1. It is 1 for strings at
-    one
-        point.
+        one point.
     """
 
     def __init__(self, pole: np.ndarray, drive: np.ndarray, string: np.ndarray, common: float = 1.0) -> None:
         self.pole, self.drive, self.common = pole, drive, common
         omega = np.imag(pole)
         self._omega = omega / TAPER
-        self._ends = np.array(
-            [np.searchsorted(omega, omega - TAPER), np.searchsorted(omega, omega + TAPER, side="right")]
-        )
+        self._left = np.searchsorted(omega, omega - TAPER)
+        self._right = np.searchsorted(omega, omega + TAPER, side="right")
         self._own = _own_taper(np.imag(pole), string)
 
     def exchange(self, amplitude: np.ndarray, lift: np.ndarray) -> np.ndarray:
@@ -59,16 +59,15 @@ class CoupledModes:
 
         The taper is linear on both sides. So each sum follows from running sums over the modes in order of frequency.
         """
-        drive = self.drive * lift
+        drive, omega, left, right = self.drive * lift, self._omega, self._left, self._right
         driven = drive * amplitude
         sums, moments = np.zeros((2, len(driven) + 1), complex)
         np.cumsum(driven, out=sums[1:])
-        np.cumsum(driven * self._omega, out=moments[1:])
-        (left, right), (left_moment, right_moment) = sums[self._ends], moments[self._ends]
-        total = right - left + self._omega * (left + right - 2 * sums[1:])
-        total += 2 * moments[1:] - left_moment - right_moment
-        own = self._own @ driven.view(float).reshape(-1, 2)
-        return self.common * drive * (total - own.view(complex)[:, 0])
+        np.cumsum(driven * omega, out=moments[1:])
+        total = sums[right] * (1 + omega) - sums[left] * (1 - omega) - 2 * omega * sums[1:]
+        total += 2 * moments[1:] - moments[left] - moments[right]
+        total -= (self._own @ driven.view(float).reshape(-1, 2)).view(complex)[:, 0]
+        return self.common * drive * total
 
     def step(
         self, alone: np.ndarray, added: np.ndarray, half: np.ndarray, lift: np.ndarray, seconds: float
@@ -104,17 +103,24 @@ class CoupledModes:
         the force of a real motion. At the pole of another mode it gives the amplitude of that mode. The response to any
         force is this times the transform of the force at the pole.
         """
-        q, target = self.pole[source], self.pole
-        weight = self.drive[source] * strength
+        q, weight, pole = self.pole[source], self.drive[source] * strength, self.pole
         # w/(s - q) + w*/(s - q*) = (2 Re w s - 2 Re w q*)/(s² - 2 Re q s + |q|²)
-        factor, constant = 2 * np.real(weight), -2 * np.real(weight * np.conj(q))
-        below = target**2 - 2 * np.real(q)[:, None] * target + (np.abs(q) ** 2)[:, None]
-        below[below == 0] = 1.0  # equal poles, which have no part in it
-        inverse = 1 / below
-        for row, omega in zip(inverse, np.imag(q), strict=True):
-            near = slice(*np.searchsorted(np.imag(target), [omega - TAPER, omega + TAPER]))
-            row[near] *= np.abs(np.imag(target[near]) - omega) / TAPER
-        total = target * (factor @ inverse) + constant @ inverse
+        numerator = np.stack([2 * np.real(weight), -2 * np.real(weight * np.conj(q))])
+        near = np.searchsorted(np.imag(pole), [np.imag(q) - TAPER, np.imag(q) + TAPER]).T
+        real, imag = np.zeros((2, 2, len(pole)))  # of both terms of the numerator, divided
+        for first in range(0, len(q), ROWS_AT_ONCE):
+            rows = slice(first, first + ROWS_AT_ONCE)
+            # Parts of the denominator, (s - Re q)² + (Im q)², and the square of its size. Real arithmetic is faster.
+            x = np.real(pole) - np.real(q[rows, None])
+            re, im = x**2 - np.imag(pole) ** 2 + np.imag(q[rows, None]) ** 2, 2 * np.imag(pole) * x
+            size = re**2 + im**2
+            size[size == 0] = 1.0  # equal poles, which have no part in it
+            np.reciprocal(size, out=size)
+            for row, omega, (left, right) in zip(size, np.imag(q[rows]), near[rows], strict=True):
+                row[left:right] *= np.abs(np.imag(pole[left:right]) - omega) / TAPER
+            real += numerator[:, rows] @ (re * size)
+            imag -= numerator[:, rows] @ (im * size)
+        total = pole * (real[0] + 1j * imag[0]) + real[1] + 1j * imag[1]
         total[source] = 0.0
         return -self.common * self.drive * total
 

@@ -152,8 +152,11 @@ class StringVoice:
 
     def _add(self, sound: np.ndarray, at: int) -> None:
         """Add a sound [channels, samples] to the pending output, `at` samples after the current one."""
-        end = at + sound.shape[-1]
-        self._pending = np.pad(self._pending, ((0, 0), (0, max(end - self._pending.shape[-1], 0))))
+        end, size = at + sound.shape[-1], self._pending.shape[-1]
+        if end > size:
+            longer = np.zeros((len(self._pending), end))
+            longer[:, :size] = self._pending
+            self._pending = longer
         self._pending[:, at:end] += sound
 
     def _next(self, samples: int) -> np.ndarray:
