@@ -55,10 +55,11 @@ USES = {
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp instrument io model playback report schema threads",
+    "mend": "analysis batch dsp instrument io modal_response model recording schema",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"
-    " parameters playback progress recording report result schema setup synthetic threads tuner web",
+    " mend parameters playback progress recording report result schema setup synthetic threads tuner web",
     "__main__": "cli",
 }
 EVERYWHERE = {"conversions", "errors"}

@@ -1,18 +1,24 @@
-"""Command for recordings of a library: cut a long one at its strokes."""
+"""Commands for recordings of a library: cut a long one at its strokes, mend those of a fitted library."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import ParameterError
-from ..io.number_format import counted
+from ..io.files import printable
+from ..io.number_format import columns, counted
 from ..progress import progress_bar
-from .options import Force, Json, text
-from .terminal import print_result
+from .options import Force, Json, number, text
+from .terminal import print_error, print_result
 
+if TYPE_CHECKING:
+    from ..mend import Change
+
+# Files without a change that the summary names.
+NAMED = 10
 # Columns of the list on screen.
 HEADER = f"{'':>4}{'start, s':>10}{'length, s':>10}  {'note':5}{'cents':>7}{'dB':>7}  file, or why it is not written"
 
@@ -42,3 +48,65 @@ def cut(
     where = "nothing written" if out is None else f"written to {out}"
     lines.append(f"{counted(sure, 'stroke')}, {len(listed) - sure} unsure; {where}")
     print_result(listed, "\n".join(lines) + "\n", as_json)
+
+
+def mend(
+    library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Manifest or folder, as for pianofit batch.")],
+    fits: Annotated[Path, text("DIR", "Folder of its fits, which pianofit batch LIBRARY --out DIR wrote.")],
+    out: Annotated[Path | None, text("DIR", "Folder for the mended recordings and changes.csv.")] = None,
+    tails: Annotated[
+        float, typer.Option(parser=number, metavar="S", help="Length after the onset that tails get; 0: as they are.")
+    ] = 10.0,
+    even: Annotated[
+        float, typer.Option(parser=number, metavar="0...1", help="Move levels towards an even keyboard.")
+    ] = 0.0,
+    onsets: Annotated[
+        float, typer.Option(parser=number, metavar="0...1", help="Remove surplus silence before onsets.")
+    ] = 0.0,
+    fill: Annotated[bool, typer.Option(help="Add layers and keys that were not recorded, in DIR/added.")] = True,
+    keys: Annotated[
+        str | None, text("KEYS", "Keys to fill, such as A0-C8. Default: from the lowest recorded to the highest.")
+    ] = None,
+    pattern: Annotated[str | None, text("PATTERN", "Form of the file names, as for pianofit batch.")] = None,
+    prefix: Annotated[str | None, text("NAME", "The instrument, if the library has several.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the changes and write nothing.")] = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Lengthen, even out and complete the recordings of a fitted library. Originals are never changed."""
+    from ..export import parse_keys
+    from ..mend import MendOptions, mend_library
+
+    if dry_run == (out is not None):
+        raise ParameterError("give either --out DIR, or --dry-run to list the changes only")
+    options = MendOptions(tails, even, onsets, fill, None if keys is None else tuple(parse_keys(keys)))
+    with progress_bar() as bar:
+        changes, remarks = mend_library(
+            library, fits, out, options, pattern=pattern, prefix=prefix, force=force, progress=bar
+        )
+    for remark in remarks:
+        print_error(remark)
+    lines = _every_change(changes) if dry_run else []
+    print_result(changes, "\n".join([*lines, *_summary(changes, out)]) + "\n", as_json)
+
+
+def _every_change(changes: list[Change]) -> list[str]:
+    """Return one line a change."""
+    rows = []
+    for c in changes:
+        numbers = ("" if x is None else f"{x:g}" for x in (c.before, c.after))
+        rows.append([printable(c.file), c.change, *numbers, c.unit, printable(c.detail)])
+    return columns(rows, right=-1)
+
+
+def _summary(changes: list[Change], out: Path | None) -> list[str]:
+    """Return the number of changes of each kind, and the first files without one."""
+    count = {kind: [c for c in changes if c.change == kind] for kind in ("tail", "level", "onset", "added")}
+    words = {"tail": "lengthened", "level": "with another level", "onset": "with an earlier onset", "added": "added"}
+    parts = [f"{len(found)} {words[kind]}" for kind, found in count.items() if found]
+    unchanged = [c for c in changes if c.change == "unchanged"]
+    where = "nothing written" if out is None else f"written to {printable(out)}, with changes.csv"
+    total = counted(len({c.file for c in changes}), "file")
+    lines = [f"{total}: {', '.join([*parts, f'{len(unchanged)} unchanged'])}; {where}"]
+    lines += [f"unchanged: {printable(c.file)}: {printable(c.detail)}" for c in unchanged[:NAMED]]
+    return lines + [f"and {len(unchanged) - NAMED} more"] * (len(unchanged) > NAMED)

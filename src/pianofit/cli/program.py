@@ -116,6 +116,7 @@ COMMANDS = {
     fits.cross_validate: "pianofit cross-validate soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
     fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
     library.cut: "pianofit cut session.wav --out library",
+    library.mend: "pianofit mend library.csv --fits library --out mended",
     batch.batch: "pianofit batch library.csv --out library",
     batch.status: "pianofit status library",
     instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",

@@ -29,7 +29,7 @@ RESAMPLING_REACH = 10
 RATE_RATIO = 2.2
 # Steps whose sound is computed at once.
 CHUNK_HOPS = 128
-# Share of modes that are heard above which the silent ones are computed as well.
+# Share of audible modes above which the silent ones are computed as well.
 MOST_HEARD = 0.8
 # Largest amplitude of the sound that counts as silence, file units: -160 dB.
 SILENCE = 1e-8

@@ -1,0 +1,342 @@
+"""The recordings of a library, mended by the fits of its keys, and a list of every change.
+
+Originals are only read. A recording that nothing changes is copied byte for byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..analysis.note_names import midi_to_note, note_to_midi
+from ..batch import Key, Sample, read_keys
+from ..errors import FitError, RecordingError, SetupError, check_range
+from ..instrument import Instrument, find_fits, load_instrument
+from ..io.audio import decode
+from ..io.files import PEAK_LIMIT, encode_pcm, limit_peak, output_folder, printable, read_file, replace_file
+from ..io.table_output import write_csv
+from ..model.modal_response import PRE_ONSET_S
+from ..recording.recording import MAX_BYTES, load_recording
+from ..schema.fit import read_fit
+from .layers import LayerLaw, even_level, layer_laws, missing_sounds, recorded_level
+from .tail import Continuation, continue_by_modes, end_in_silence, lengthen, modes_of_key
+
+LIST = "changes.csv"
+# Folder, in the output, of sounds that were never recorded.
+ADDED = "added"
+# Bits of files that hold these samples exactly; others are written with 24.
+BITS = {"PCM_16": 16, "PCM_S8": 16, "PCM_U8": 16}
+# Smallest change of level, dB, and of the onset, s, that is made.
+LEAST_GAIN_DB, LEAST_SHIFT = 0.05, 1e-4
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change of one file, or the reason why there is none."""
+
+    file: str  # in the output folder
+    note: str
+    layer: str
+    change: str  # "tail", "level", "onset", "added" or "unchanged"
+    before: float | None
+    after: float | None
+    unit: str
+    detail: str
+
+
+class MendOptions(NamedTuple):
+    """The kinds of changes, and their amounts.
+
+    Parameters
+    ----------
+    tails : length after the onset to which recordings are lengthened, s; 0 leaves all as they are.
+    even : how far levels are moved to an even keyboard, from 0 (not at all) to 1.
+    onsets : how far surplus silence before an onset is removed, from 0 (not at all) to 1.
+    fill : whether to add the layers and keys that were not recorded.
+    keys : MIDI numbers of the keys to fill; None for all from the lowest recorded one to the highest.
+    """
+
+    tails: float = 10.0
+    even: float = 0.0
+    onsets: float = 0.0
+    fill: bool = True
+    keys: tuple[int, ...] | None = None
+
+    def check(self) -> MendOptions:
+        """Return the options, or raise a `ParameterError` for one out of range."""
+        check_range("tails=", self.tails, 0.0, 120.0, " s")
+        check_range("even=", self.even, 0.0, 1.0)
+        check_range("onsets=", self.onsets, 0.0, 1.0)
+        return self
+
+
+class _Library(NamedTuple):
+    """Recordings of a library and what their fits say."""
+
+    root: Path
+    keys: list[Key]
+    instrument: Instrument
+    laws: dict[str, LayerLaw]
+    recorded: dict[str, dict[int, float]]  # velocities, m/s, by layer and key
+
+
+class _Sound(NamedTuple):
+    """A sound to write."""
+
+    file: str
+    frames: np.ndarray | None  # [channels, samples]; None if the source is copied
+    rate: int
+    bits: int
+    source: Path | None
+    changes: list[Change]
+
+
+def mend_library(
+    library: Path,
+    fits: Path,
+    out: Path | None,
+    options: MendOptions,
+    *,
+    pattern: str | None = None,
+    prefix: str | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> tuple[list[Change], list[str]]:
+    """Mend the recordings of a library.
+
+    Parameters
+    ----------
+    library : manifest or folder, as for `read_keys`.
+    fits : folder of its fits, as `pianofit batch` wrote it.
+    out : folder for the mended recordings and `changes.csv`; None only lists the changes.
+    options : what is mended.
+    pattern : as for `read_keys`.
+    prefix : name of the instrument, if the library has several.
+    force : replace a result in the folder.
+    progress : called with the name of the step and the finished fraction.
+
+    Returns
+    -------
+    All changes, and remarks on the library.
+
+    Raises
+    ------
+    SetupError
+        If the library cannot be used, or the output folder lies in it.
+    FitError
+        If the fits cannot be used.
+    """
+    options.check()
+    keys, remarks = read_keys(library, pattern=pattern)
+    keys = [key for key in keys if prefix is None or key.instrument == prefix]
+    if not keys:
+        raise SetupError(f"{printable(library)}: no key of the instrument {prefix!r}; leave out --prefix")
+    root = (library if library.is_dir() else library.parent).resolve()
+    if out is not None:
+        _check_out(out, root, [sample.file for _, sample in _notes(keys)])
+    digests = _digests(keys)
+    fitted = {recording.sha256 for file in find_fits([fits], prefix) for recording in read_fit(file).recordings}
+    if not fitted & {*digests.values()}:
+        raise FitError(
+            f"{printable(fits)}: holds no fit of the recordings of {printable(library)}; run pianofit batch on it, and "
+            "give its folder"
+        )
+    read = _read(keys, root, load_instrument(fits, prefix), digests)
+    sounds = _mended(read, options, remarks, progress)
+    if out is None:
+        return [change for sound in sounds for change in sound.changes], remarks
+    changes: list[Change] = []
+    with output_folder(out, force) as folder:
+        for sound in sounds:
+            _write(folder, sound)
+            changes += sound.changes
+        write_csv(folder / LIST, [field.name for field in fields(Change)], [astuple(change) for change in changes])
+    return changes, remarks
+
+
+def _digests(keys: Sequence[Key]) -> dict[Path, str]:
+    """SHA-256 of all recordings. Every one is decoded, so that none stops the work half-way."""
+    found = {}
+    for _, sample in _notes(keys):
+        _Original.read(sample.file)
+        found[sample.file] = hashlib.sha256(read_file(sample.file, MAX_BYTES, RecordingError)).hexdigest()
+    return found
+
+
+def _read(keys: list[Key], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
+    """Find the velocities of all recordings."""
+    fitted = [key.fit for key in instrument.keys.values() if key.fit is not None]
+    velocity = {layer.sha256: layer.velocity for fit in fitted for layer in fit.layers}
+    recorded: dict[str, dict[int, float]] = {}
+    for key, sample in _notes(keys):
+        if digests[sample.file] in velocity:
+            recorded.setdefault(sample.layer, {})[note_to_midi(key.note)] = velocity[digests[sample.file]]
+    return _Library(root, keys, instrument, layer_laws(recorded), recorded)
+
+
+def _notes(keys: Sequence[Key]) -> Iterator[tuple[Key, Sample]]:
+    """Yield the strokes of all keys; recordings of other roles are left out."""
+    yield from ((key, sample) for key in keys for sample in key.samples if sample.role == "note")
+
+
+def _check_out(out: Path, root: Path, files: Sequence[Path]) -> None:
+    """Raise a `SetupError` if the output folder and the recordings could mix."""
+    place = out.resolve()
+    if place.is_relative_to(root) or any(file.is_relative_to(place) for file in files):
+        raise SetupError(f"--out {printable(out)}: lies in the library or contains it; give a folder next to it")
+
+
+def _mended(
+    library: _Library, options: MendOptions, remarks: list[str], progress: Callable[[str, float], None]
+) -> Iterator[_Sound]:
+    """Yield all sounds of the mended library."""
+    notes, layouts = list(_notes(library.keys)), Counter[tuple[int, int, int, str]]()
+    gains, common = _gains(library, options.even) if options.even else ({}, 0.0)
+    if common < 0:
+        remarks.append(f"all levels are lowered by {-common:.1f} dB, so that the loudest stays below full scale")
+    for i, (key, sample) in enumerate(notes):
+        original = _Original.read(sample.file)
+        gain = gains[sample.file] + common if sample.file in gains else 0.0
+        yield _mend(library, options, key, sample, original, gain)
+        layouts[original.layout] += 1
+        progress("mending", (i + 1) / len(notes))
+    if options.fill and any(sample.group for _, sample in notes):
+        remarks.append("the library has several microphones, so that missing sounds are not added")
+    elif options.fill:
+        yield from _filled(library, options, layouts.most_common(1)[0][0], common, progress)
+
+
+def _gains(library: _Library, even: float) -> tuple[dict[Path, float], float]:
+    """Gains of recordings towards an even keyboard, and the common one that keeps all below full scale, dB."""
+    gains, highest = dict[Path, float](), -np.inf
+    for key, sample in _notes(library.keys):
+        midi = note_to_midi(key.note)
+        if midi not in library.recorded.get(sample.layer, {}):
+            continue
+        it = _Original.read(sample.file)
+        wanted = even_level(library.instrument, midi, library.laws[sample.layer])
+        gains[sample.file] = even * (wanted - recorded_level(it.sound, it.rate, it.onset))
+        highest = max(highest, 20 * np.log10(np.abs(it.sound).max()) + gains[sample.file])
+    return gains, float(min(20 * np.log10(PEAK_LIMIT) - highest, 0.0))
+
+
+class _Original(NamedTuple):
+    """A recording as its file holds it."""
+
+    sound: np.ndarray  # [channels, samples]
+    rate: int  # Hz
+    onset: int  # sample
+    bits: int
+    kind: str  # of the file to write
+
+    @classmethod
+    def read(cls, file: Path) -> _Original:
+        """Read a file of a library."""
+        try:
+            frames, rate, subtype = decode(read_file(file, MAX_BYTES, RecordingError))
+        except RecordingError as error:
+            raise RecordingError(f"{printable(file)}: {error}") from None
+        kind = "flac" if file.suffix.lower() == ".flac" else "wav"
+        return cls(frames.T, rate, load_recording(file).onset, BITS.get(subtype, 24), kind)
+
+    @property
+    def layout(self) -> tuple[int, int, int, str]:
+        """Channels, rate, bits and kind."""
+        return len(self.sound), self.rate, self.bits, self.kind
+
+
+def _mend(
+    library: _Library, options: MendOptions, key: Key, sample: Sample, original: _Original, gain: float
+) -> _Sound:
+    """Mend one recording."""
+    sound, rate, onset, bits, kind = original
+    place = _place(library.root, sample.file)
+    written = place if kind == "flac" else Path(place).with_suffix(".wav").as_posix()
+    changes, reason = list[Change](), "no change was asked for"
+
+    def add(change: str, before: float, after: float, unit: str, detail: str) -> None:
+        numbers = round(before, 4), round(after, 4)
+        changes.append(Change(written, key.note, sample.layer, change, *numbers, unit, detail))
+
+    if options.tails:
+        have = (sound.shape[-1] - onset) / rate
+        found = _continuation(library.instrument, note_to_midi(key.note), original, options.tails)
+        if isinstance(found, str):
+            reason = found
+        else:
+            sound = lengthen(sound, rate, onset, options.tails, found)
+            joint, over = (found.joint - onset) / rate, f"{found.step_db:+.2f} dB, {found.slope_db:+.2f} dB/s"
+            after = (sound.shape[-1] - onset) / rate
+            add("tail", have, after, "s", f"joint at {joint:.2f} s, recording over modes {over}")
+    if abs(gain) >= LEAST_GAIN_DB:
+        level = recorded_level(sound, rate, onset)
+        sound = sound * 10 ** (gain / 20)
+        add("level", level, level + gain, "dB", "towards an even keyboard")
+    surplus = options.onsets * (onset / rate - PRE_ONSET_S)
+    if surplus > LEAST_SHIFT:
+        sound = sound[:, round(surplus * rate) :]
+        add("onset", onset / rate, onset / rate - surplus, "s", "silence before it removed")
+    if changes:
+        return _Sound(written, sound, rate, bits, sample.file, changes)
+    unchanged = Change(place, key.note, sample.layer, "unchanged", None, None, "", reason)
+    return _Sound(place, None, rate, bits, sample.file, [unchanged])
+
+
+def _continuation(instrument: Instrument, midi: int, original: _Original, seconds: float) -> Continuation | str:
+    """How a recording goes on up to `seconds` after its onset, or why it is left as it is."""
+    sound, rate, onset, *_ = original
+    have, key = (sound.shape[-1] - onset) / rate, instrument.keys.get(midi)
+    if have >= seconds:
+        return f"it rings for {have:.2f} s already"
+    if key is None or key.fit is None or key.note.modal_response is None:
+        return "its key has no measured modes"
+    return continue_by_modes(sound, rate, onset, modes_of_key(key.note.modal_response))
+
+
+def _place(root: Path, file: Path) -> str:
+    """Place of a file in the output folder."""
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+
+def _filled(
+    library: _Library,
+    options: MendOptions,
+    layout: tuple[int, int, int, str],
+    common: float,
+    progress: Callable[[str, float], None],
+) -> Iterator[_Sound]:
+    """Yield the sounds that were not recorded, as the instrument plays them, with a `common` gain, dB."""
+    channels, rate, bits, kind = layout
+    recorded = sorted(set().union(*library.recorded.values()))
+    missing = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
+    for i, (midi, layer) in enumerate(missing):
+        key, velocity = library.instrument.keys[midi], library.laws[layer].velocity(midi)
+        seconds = options.tails or MendOptions().tails
+        sound = np.atleast_2d(key.note.render(velocity, seconds=seconds, rate=rate, mono=channels == 1))
+        sound, limited = limit_peak(10 ** (common / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
+        note = midi_to_note(midi)
+        name = "-".join(part for part in (library.keys[0].instrument, note.replace("#", "s"), layer) if part)
+        detail = "of a recorded key" if midi in recorded else "of a guessed key"
+        detail += f", lowered by {-20 * np.log10(limited):.2f} dB to stay below full scale" * (limited < 1)
+        place = f"{ADDED}/{name}.{kind}"
+        change = Change(place, note, layer, "added", None, round(velocity, 3), "m/s", detail)
+        yield _Sound(place, np.broadcast_to(sound, (channels, sound.shape[-1])), rate, bits, None, [change])
+        progress("adding", (i + 1) / len(missing))
+
+
+def _write(folder: Path, sound: _Sound) -> None:
+    file = folder / sound.file
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if sound.frames is None and sound.source is not None:
+        shutil.copyfile(sound.source, file)
+        return
+    kind = "flac" if file.suffix.lower() == ".flac" else "wav"
+    if sound.frames is not None:
+        replace_file(file, encode_pcm(sound.frames, sound.rate, kind, sound.bits))
