@@ -8,6 +8,7 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 from __future__ import annotations
 
 from ..progress import Progress
+from . import priors
 from .batched_model import run_in_batches, string_law
 from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
@@ -16,7 +17,7 @@ from .multistart import NO_HAMMER
 from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
-from .problem import FitProblem, build_problem, simulation_grid
+from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
 
 __all__ = [
     "KNOCK",
@@ -39,6 +40,8 @@ __all__ = [
     "check_intervals",
     "map_estimate",
     "names_of",
+    "prior_parametrisation",
+    "priors",
     "run_in_batches",
     "run_inference",
     "select_partials",

@@ -46,12 +46,17 @@ def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
     """
 
     def one(string, hammer, geometry):
-        table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
-        modes = mode_table(String(*string), Geometry(*geometry), **table)
-        pulse, steps = strike_until_over(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, stored=cfg.steps)
+        modes, pulse, steps = stroke_until_over(string, hammer, geometry, rate, cfg)
         return (*modes, *pulse, steps)
 
     return jax.vmap(one)(strings, hammers, geometries)
+
+
+def stroke_until_over(string, hammer, geometry, rate, cfg: StrokesConfig):
+    """Table of modes, pulse, and number of computed steps of one stroke; fields in their order [fields]."""
+    table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
+    modes = mode_table(String(*string), Geometry(*geometry), **table)
+    return modes, *strike_until_over(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, stored=cfg.steps)
 
 
 def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrokesConfig]:
@@ -61,12 +66,16 @@ def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[n
     ----------
     first : stroke of one of the notes.
     """
-    parts = (
-        np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry")
-    )
     modes, step = len(first.modes.pole), float(first.modes.step)
     steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
-    return tuple(parts), np.float64(1 / step), StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+    cfg = StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+    return parameter_arrays(notes), np.float64(1 / step), cfg
+
+
+def parameter_arrays(notes: Sequence[Note]) -> tuple[np.ndarray, ...]:
+    """Return string, hammer and geometry of the notes, each as fields in their order [notes, fields]."""
+    parts = ("string", "hammer", "geometry")
+    return tuple(np.array([[*map(float, getattr(note, part))] for note in notes]) for part in parts)
 
 
 def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
