@@ -1,4 +1,4 @@
-"""Labelled synthetic notes: the same for any number of processes, sounds that match their labels, priors, bad inputs."""
+"""Labelled synthetic notes: independent of processes and interruptions, equal to their labels, from the priors."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pianofit import NoteOptions, OutputError, ParameterError, note_from_labels,
 from pianofit.cli import app
 from pianofit.conversions import midi_of
 from pianofit.dataset.draw import PATH_FREQUENCIES, NotePrior, draw_path
+from pianofit.dataset.labelled_note import BLOCK
 from pianofit.dataset.source import load_source
-from pianofit.dataset.write import BLOCK
 from pianofit.inference import priors
 from pianofit.instrument import write_instrument
 from pianofit.io.files import PEAK_LIMIT
@@ -60,19 +60,19 @@ def test_processes_interruptions_and_extensions_do_not_change_a_data_set(tmp_pat
     count = 2 * BLOCK + 20
     write_dataset(tmp_path / "whole", count, seed=2, options=SMALL, progress=False)
 
-    class Interruption(Exception):
+    class StoppedError(Exception):
         pass
 
     def interrupt(_: str, done: float) -> None:
         if done > 0:
-            raise Interruption
+            raise StoppedError
 
     parts = tmp_path / "parts"
-    with pytest.raises(Interruption):
+    with pytest.raises(StoppedError):
         write_dataset(parts, BLOCK + 5, seed=2, options=SMALL, progress=interrupt)
     assert not (parts / "notes.csv").exists()
     (parts / "blocks" / ".00001").mkdir()  # a block that was being written
-    (parts / "blocks" / ".00001" / "0000256.flac").write_bytes(b"half")
+    (parts / "blocks" / ".00001" / "0000512.flac").write_bytes(b"half")
     resumed = write_dataset(parts, BLOCK + 5, seed=2, options=SMALL, progress=False)
     assert resumed.made == 5
     extended = write_dataset(parts, count, seed=2, options=SMALL, jobs=2, progress=False)

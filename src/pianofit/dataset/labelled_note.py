@@ -1,7 +1,7 @@
 """Labelled synthetic notes in memory, block by block.
 
-A block holds the notes `BLOCK` n to `BLOCK` (n + 1) - 1. It is rendered as a whole, so that strokes of one shape share
-a program, and a block has the same sounds in every run.
+A block of notes is rendered as a whole, so that strokes of one shape share a program. Its size follows from the
+options, so a block has the same sounds in every run.
 """
 
 from __future__ import annotations
@@ -22,8 +22,11 @@ from .draw import DrawnNote, NotePrior
 from .source import load_source
 from .table import labels_of
 
-# Notes of a block: enough strokes of every shape for full batches, and few enough that an interruption loses seconds.
-BLOCK = 256
+# Most notes of a block: enough strokes of every shape for full batches, and few enough that an interruption loses
+# seconds.
+BLOCK = 512
+# Most samples of a block: 256 MiB.
+BLOCK_SAMPLES = 2**25
 # Most notes of a data set.
 MAX_NOTES = 10_000_000
 # Draws of a note whose contact does not end, before the priors are given up.
@@ -100,8 +103,13 @@ def notes(count: int, *, seed: int = 0, options: NoteOptions | None = None) -> I
     check_count(count)
     check_seed(seed)
     prior = NotePrior(options, load_source(options), seed)
-    blocks = (range(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK))
-    return (one for numbers in blocks for one in make_block(prior, numbers))
+    return (one for numbers in blocks(count, options) for one in make_block(prior, numbers))
+
+
+def blocks(count: int, options: NoteOptions) -> list[range]:
+    """Return the numbers of the notes of every block."""
+    size = max(1, min(BLOCK, int(BLOCK_SAMPLES / (options.seconds * options.rate * options.layers))))
+    return [range(first, min(first + size, count)) for first in range(0, count, size)]
 
 
 def check_count(count: int) -> None:

@@ -2,7 +2,7 @@
 
     dataset.json          seed, options, version, and the columns of the table with their units
     notes.csv             one row a sound
-    blocks/00000/         sounds of the notes 0 to 255, and their rows; a block is there completely or not at all
+    blocks/00000/         sounds of the first notes, and their rows; a block is there completely or not at all
 
 A block is written to a folder with another name, which is then renamed. So an interrupted run goes on with the blocks
 that are missing, and the result does not depend on interruptions or on the number of processes.
@@ -35,7 +35,7 @@ from ..progress import Progress, progress_bar
 from ..schema.dataset import DATASET_FILE, Column, DatasetFile, NoteOptions, SoundFormat, read_dataset_file
 from ..schema.decode import encode_json
 from .draw import PATH_FREQUENCIES, NotePrior
-from .labelled_note import BLOCK, LabelledNote, check_count, make_block
+from .labelled_note import LabelledNote, blocks, check_count, make_block
 from .source import load_source
 from .table import columns_of
 
@@ -103,7 +103,7 @@ def write_dataset(
     count : number of notes. Each has `options.layers` sounds.
     seed : seed of all random numbers.
     options : see `NoteOptions`.
-    format : "flac" (24 bit), "wav" (32 bit floats) or "npz" (float32, one archive for 256 notes).
+    format : "flac" (24 bit), "wav" (32 bit floats) or "npz" (float32, one archive a block).
     jobs : number of processes. With more than one, call this function from the main module of a program.
     progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal.
 
@@ -161,9 +161,9 @@ def write_dataset(
 
 
 def _blocks(record: DatasetFile) -> list[_Block]:
-    firsts = range(0, record.count, BLOCK)
     shared = record.seed, record.options, record.format, record.columns
-    return [_Block(f"{at // BLOCK:05}", (at, min(at + BLOCK, record.count)), *shared) for at in firsts]
+    numbers = blocks(record.count, record.options)
+    return [_Block(f"{i:05}", (own.start, own.stop), *shared) for i, own in enumerate(numbers)]
 
 
 # --- folder -----------------------------------------------------------------------------------------------------------
@@ -255,14 +255,14 @@ def _write_table(path: Path, record: DatasetFile) -> None:
 # --- blocks -----------------------------------------------------------------------------------------------------------
 
 
-def _made(blocks: list[_Block], jobs: int, path: Path) -> Iterator[tuple[_Block, dict[str, bytes]]]:
+def _made(missing: list[_Block], jobs: int, path: Path) -> Iterator[tuple[_Block, dict[str, bytes]]]:
     """Yield every block with its files, as they are made: in this process, or in several."""
     if jobs == 1:
-        for block in blocks:
+        for block in missing:
             yield block, _files(block)
         return
-    queue = blocks[::-1]
-    with ProcessPool(min(jobs, len(blocks) or 1), MEMORY, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
+    queue = missing[::-1]
+    with ProcessPool(min(jobs, len(missing) or 1), MEMORY, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
         while queue or pool.pending:
             while queue and pool.pending < pool.capacity:
                 pool.submit(queue.pop())

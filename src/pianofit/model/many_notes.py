@@ -21,10 +21,10 @@ from .free_response import pickup_amplitudes, sounding
 from .note import Note, check_render
 from .program_cache import persistent_jit
 from .simulate import MAX_STEPS, Simulation, contact_rate, count_modes
-from .strokes import BATCH_SIZE, StrokesConfig, parameter_arrays, simulations, stroke_until_over
+from .strokes import BATCH, BATCH_SIZE, StrokesConfig, parameter_arrays, simulations, stroke_until_over
 
 # Stored steps of a first try, and their factor for strokes that last longer. Half of all contacts end within 512 steps.
-FIRST_STORED, LONGER = 1024, 8
+FIRST_STORED, LONGER = 1024, 4
 # Programs that stay in memory: all shapes of a keyboard. A process that renders many notes needs them again and again.
 SHAPES = 32
 
@@ -37,7 +37,7 @@ def _sounding_strokes(strings, hammers, geometries, rates, cfg: StrokesConfig):
         modes, pulse, steps = stroke_until_over(string, hammer, geometry, rate, cfg)
         return (*modes, *pulse, steps, *pickup_amplitudes(modes, pulse.drive))
 
-    return jax.vmap(one)(strings, hammers, geometries, rates)
+    return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries, rates)
 
 
 def render_notes(notes: Sequence[Note], *, seconds: float = 1.0, rate: int = 44_100) -> np.ndarray:
