@@ -16,6 +16,7 @@ __all__ = ["__version__"]
 __all__ += ["Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse"]
 # Setup and fit.
 __all__ += ["Setup", "RecordingInfo", "Measured", "fit", "Result", "Quantity", "Quantities"]
+__all__ += ["objective", "RecordingObjective"]
 __all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
 # Prediction of recordings that were not fitted.
 __all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
@@ -70,7 +71,8 @@ if TYPE_CHECKING:
     from .export import ExportOptions, ExportSummary, export_sampler
     from .export.faust import FaustSummary, write_faust
     from .felt import FeltLaw, RelaxingHammer, SoftHammer
-    from .fitting import fit
+    from .fitting import fit, objective
+    from .inference import RecordingObjective
     from .instrument import (
         Instrument,
         Key,
@@ -131,7 +133,8 @@ _MODULES = {
     "playback": ("PedalRange", "Performance", "PlayOptions", "Song", "load_song", "render_song"),
     "web": ("PageSummary", "write_playable_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fitting": ("fit",),
+    "fitting": ("fit", "objective"),
+    "inference": ("RecordingObjective",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Result",),
     "result.derived": ("DerivedQuantity", "ModelDraw"),

@@ -14,6 +14,7 @@ from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
+from .objective_function import RecordingObjective, objective_of
 from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
@@ -36,10 +37,12 @@ __all__ = [
     "Parametrisation",
     "Posterior",
     "Progress",
+    "RecordingObjective",
     "build_problem",
     "check_intervals",
     "map_estimate",
     "names_of",
+    "objective_of",
     "prior_parametrisation",
     "priors",
     "run_in_batches",
