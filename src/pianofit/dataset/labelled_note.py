@@ -75,7 +75,7 @@ def notes(count: int, *, seed: int = 0, options: NoteOptions | None = None) -> I
 
     Parameters
     ----------
-    count : number of notes. Each has `options.layers` sounds.
+    count : number of notes. Each has one sound for every layer of the options.
     seed : seed of all random numbers.
     options : see `NoteOptions`.
 

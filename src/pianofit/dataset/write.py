@@ -100,7 +100,7 @@ def write_dataset(
     Parameters
     ----------
     folder : folder of the data set; new, empty, or of the same data set.
-    count : number of notes. Each has `options.layers` sounds.
+    count : number of notes. Each has one sound for every layer of the options.
     seed : seed of all random numbers.
     options : see `NoteOptions`.
     format : "flac" (24 bit), "wav" (32 bit floats) or "npz" (float32, one archive a block).

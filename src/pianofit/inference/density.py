@@ -131,7 +131,7 @@ def negative_log_density(at: DensityContext, theta, phi: Sequence[Any], w: Seque
 def table_terms(
     at: DensityContext, theta, phi: Sequence[Any], w: Sequence[Any], cfg: StaticConfig
 ) -> tuple[Array, list[tuple]]:
-    """Whether contacts ended, and the arguments of `objective` for every table."""
+    """Return which contacts ended, and the arguments of `objective` for every table."""
     entries = theta
     if at.scaling is not None:
         entries = theta - size_changes(at, theta) @ at.scaling[0]
