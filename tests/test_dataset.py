@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -257,6 +261,21 @@ def test_the_command_reports_what_it_made(tmp_path):
         "made": 3,
     }
     assert "3 notes were there before" in run("dataset", "--out", tmp_path / "a", *words).stdout
+
+
+def test_an_interrupted_command_is_one_line_and_goes_on(tmp_path):
+    words = ["dataset", "--out", str(tmp_path), "--count", str(2 * BLOCK), "--keys", "C5..C6", "--seconds", "0.02"]
+    command = [sys.executable, "-m", "pianofit", *words, "--jobs", "2"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "dataset.json").exists():
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    message = process.communicate()[1]
+    assert process.returncode == 130
+    assert message.count("\n") == 1
+    assert not (tmp_path / "notes.csv").exists()
+    assert run(*words, "--jobs", 1).exit_code == 0
+    assert len(rows(tmp_path)) == 2 * BLOCK
 
 
 def test_a_contact_grid_is_sufficient_and_not_wasteful():

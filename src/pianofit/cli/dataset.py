@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from ..errors import ParameterError
-from ..io.files import printable
+from ..io.files import cleanup_on_interrupt, printable
 from ..io.number_format import counted
 from ..threads import cores
 from .options import RATE, Json, Seconds, Seed, choice, integer, real, text
@@ -62,7 +62,8 @@ def dataset(
         spread=spread,
     )
     jobs = cores() if jobs is None else jobs
-    made = write_dataset(out, count, seed=seed, options=options, format=cast("SoundFormat", form), jobs=jobs)
+    with cleanup_on_interrupt(lambda: None):  # the same command continues
+        made = write_dataset(out, count, seed=seed, options=options, format=cast("SoundFormat", form), jobs=jobs)
     there = f", {counted(made.notes - made.made, 'note')} were there before" if made.made < made.notes else ""
     words = (
         f"{printable(made.folder)}: {counted(made.notes, 'note')}, {counted(made.sounds, 'sound')}{there}; "
