@@ -87,6 +87,31 @@ def test_hammers_in_a_batch_come_nearer_in_float32(monkeypatch, capsys):
     assert not jax.config.jax_enable_x64
 
 
+def test_the_model_is_differentiated_in_pytorch(monkeypatch, capsys):
+    pytest.importorskip("torch")
+    text = printed("08_pytorch.py", monkeypatch, capsys)
+    assert "gradients agree with differences: True" in text
+    losses = [float(x) for x in re.findall(r"^step +\d+: +(\S+) dB²$", text, re.MULTILINE)]
+    assert losses[-1] < 0.01 * losses[0]
+
+
+def test_pytorch_is_asked_for_where_it_is_missing(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SystemExit, match="pip install torch"):
+        printed("08_pytorch.py", monkeypatch, capsys)
+
+
+def test_a_network_learns_from_notes_and_starts_a_fit(monkeypatch, capsys):
+    text = printed("09_train_a_network.py", monkeypatch, capsys)
+    rows = re.findall(r"^(\w+) +spread (\S+), error (\S+) ", text, re.MULTILINE)
+    spread, error = ({name: float(x[at]) for name, *x in rows} for at in (0, 1))
+    assert error["b1"] < 0.5 * spread["b1"]
+    assert error["M_H"] < 0.75 * spread["M_H"]
+    assert error["v_H0"] < spread["v_H0"]
+    low, high, true = map(float, re.search(r"fitted \S+ \((\S+), (\S+)\), true (\S+) kg$", text, re.M).groups())
+    assert low < true < high
+
+
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.py")), ids=lambda file: file.name)
 def test_examples_use_public_names_only(file):
     text = file.read_text(encoding="utf-8")

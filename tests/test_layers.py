@@ -53,13 +53,14 @@ USES = {
     "batch": "analysis fitting instrument io model parameters recording report schema threads",
     "instrument": "analysis dsp felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
+    "dataset": "analysis batch felt inference instrument io literature model parameters progress schema",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp instrument io model playback report schema threads",
     "mend": "analysis batch dsp instrument io modal_response model recording schema",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
-    "cli": "analysis batch bensa2005 export felt fitting instrument io listening literature model"
-    " mend parameters playback progress recording report result schema setup synthetic threads tuner web",
+    "cli": "analysis batch bensa2005 dataset export felt fitting instrument io listening literature mend model"
+    " parameters playback progress recording report result schema setup synthetic threads tuner web",
     "__main__": "cli",
 }
 EVERYWHERE = {"conversions", "errors"}

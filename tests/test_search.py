@@ -264,7 +264,7 @@ def endless(monkeypatch):
 
 def test_a_search_in_which_no_contact_ends_says_so(endless):
     with pytest.raises(FitError, match=r"\[bounds\]"):
-        multistart(of_levels(), 0, problem().parametrisation.mean)
+        multistart(of_levels(), 0, problem().parametrisation.mean[None])
 
 
 def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(request):

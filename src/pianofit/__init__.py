@@ -16,6 +16,7 @@ __all__ = ["__version__"]
 __all__ += ["Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse"]
 # Setup and fit.
 __all__ += ["Setup", "RecordingInfo", "Measured", "fit", "Result", "Quantity", "Quantities"]
+__all__ += ["objective", "RecordingObjective"]
 __all__ += ["Covariance", "compare", "Comparison", "ComparedQuantity"]
 # Prediction of recordings that were not fitted.
 __all__ += ["Prediction", "predict_recording", "CrossValidation", "LeftOutRecording", "cross_validate"]
@@ -34,6 +35,9 @@ __all__ += [
     "Simulation",
 ]
 __all__ += ["simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav", "write_wav"]
+# Labelled synthetic notes, for machine learning.
+__all__ += ["NoteOptions", "LabelledNote", "notes", "note_from_labels", "DatasetSummary", "write_dataset"]
+__all__ += ["render_notes", "ContactGrid", "contact_grid"]
 # Parts of the model for JAX programs: modes, excitation, output.
 __all__ += ["Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform"]
 # Instruments of 88 keys from fits, songs, and exports.
@@ -53,6 +57,7 @@ __all__ += ["OutputError", "WrongNoteError"]
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
     from .batch import run_batch
+    from .dataset import DatasetSummary, LabelledNote, NoteOptions, note_from_labels, notes, write_dataset
     from .errors import (
         AnalysisError,
         FitError,
@@ -66,7 +71,8 @@ if TYPE_CHECKING:
     from .export import ExportOptions, ExportSummary, export_sampler
     from .export.faust import FaustSummary, write_faust
     from .felt import FeltLaw, RelaxingHammer, SoftHammer
-    from .fitting import fit
+    from .fitting import fit, objective
+    from .inference import RecordingObjective
     from .instrument import (
         Instrument,
         Key,
@@ -85,6 +91,8 @@ if TYPE_CHECKING:
     from .listening.sounds import ListeningSummary, write_listening_test
     from .literature import Preset, preset, typical
     from .model import Modes, Note, Simulation, levels, mode_table, pluck, simulate, spectrum, strike, waveform
+    from .model.contact_grid import ContactGrid, contact_grid
+    from .model.many_notes import render_notes
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .playback import PedalRange, Performance, PlayOptions, Song, load_song, render_song
     from .recording.recording import Recording, load_recording, recording_from_samples
@@ -105,6 +113,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "batch": ("run_batch",),
+    "dataset": ("DatasetSummary", "LabelledNote", "NoteOptions", "note_from_labels", "notes", "write_dataset"),
     "export": ("ExportOptions", "ExportSummary", "export_sampler"),
     "export.faust": ("FaustSummary", "write_faust"),
     "instrument": (
@@ -124,7 +133,8 @@ _MODULES = {
     "playback": ("PedalRange", "Performance", "PlayOptions", "Song", "load_song", "render_song"),
     "web": ("PageSummary", "write_playable_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fitting": ("fit",),
+    "fitting": ("fit", "objective"),
+    "inference": ("RecordingObjective",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Result",),
     "result.derived": ("DerivedQuantity", "ModelDraw"),
@@ -143,6 +153,8 @@ _MODULES = {
         "strike",
         "waveform",
     ),
+    "model.contact_grid": ("ContactGrid", "contact_grid"),
+    "model.many_notes": ("render_notes",),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "literature": ("Preset", "preset", "typical"),
     "recording.recording": ("Recording", "load_recording", "recording_from_samples"),

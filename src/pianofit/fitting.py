@@ -6,10 +6,11 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from .analysis import Analysis, analyse, check_analyses
-from .errors import ParameterError, SetupError, check_type
+from .errors import ParameterError, SetupError, check_range, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
@@ -17,7 +18,11 @@ from .setup import Measured, RecordingInfo, Setup, to_setup
 from .threads import check_process, cores, one_blas_thread
 
 if TYPE_CHECKING:
+    from .inference import RecordingObjective
     from .result import Result
+
+# Largest budget of a fit from guesses, steps of a minimisation.
+MAX_BUDGET = 1000
 
 
 @one_blas_thread()
@@ -32,6 +37,8 @@ def fit(
     seed: int = 0,
     progress: Progress | bool | None = None,
     analyses: Sequence[Analysis] | None = None,
+    start: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
+    budget: int | None = None,
 ) -> Result:
     """Fit string and hammer to one or more recordings of one key, from soft to loud in any order.
 
@@ -50,6 +57,12 @@ def fit(
     progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal and a line
         in a notebook.
     analyses : analyses of the recordings, in their order, if they were analysed before.
+    start : guess of hammer and contact, by name in SI units, or several guesses, such as those of a neural network. The
+        search starts from them too. The strokes of several recordings are `v_H0 1`, `v_H0 2` and so on, except the
+        reference stroke, which is `v_H0`. Missing names have their initial values. Values of the string are not used,
+        because the partials determine it before.
+    budget : largest number of steps of each minimisation. The search then starts from the guesses only, which takes a
+        fraction of the time, and finds the nearest minimum instead of all minima.
 
     Returns
     -------
@@ -76,6 +89,7 @@ def fit(
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
     check_arguments(recordings, analyses, velocity, seed, progress)
+    starts = check_start(start, budget)
     check_type("intervals=", intervals, str, "a text, such as 'laplace'")
     if intervals != "laplace":
         from .inference import check_intervals
@@ -88,11 +102,57 @@ def fit(
         from .modal_response import fit_modal_response
         from .result import build_result
 
-        inference = run_inference(
-            sounds, analyses, setup, velocity=velocity, intervals=intervals, seed=seed, progress=report
-        )
+        options = {"intervals": intervals, "seed": seed, "progress": report, "starts": starts, "budget": budget}
+        inference = run_inference(sounds, analyses, setup, velocity=velocity, **options)
         report("sounds", 0.93)
         return fit_modal_response(build_result(inference), report)
+
+
+@one_blas_thread()
+def objective(
+    *recordings: Source,
+    setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
+    note: str | int | None = None,
+    f0: float | None = None,
+    velocity: float | None = None,
+    channel: str = "average",
+    analyses: Sequence[Analysis] | None = None,
+) -> RecordingObjective:
+    """Return the objective F of recordings of one key as a function of JAX of the parameters.
+
+    F is minus the log marginal posterior density that `fit` minimises. Its hyperparameters and the weights of partials
+    are those that minimise F at the initial values. `RecordingObjective.at` moves them to another point.
+
+    Parameters
+    ----------
+    recordings, setup, note, f0, velocity, channel, analyses : as for `fit`.
+
+    Returns
+    -------
+    A `RecordingObjective`, a function of the natural logarithms of the values in SI units [parameters].
+
+    Raises
+    ------
+    PianofitError
+        As `fit`, for invalid input.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical("C5")
+    >>> made = pianofit.synthetic_recording(it.string, it.hammer, it.geometry, seconds=1.5, noise_db=60)
+    >>> F = pianofit.objective(made.recording, setup=made.setup)
+    >>> value, slope = F.value_and_gradient(F.start)
+    >>> further, _ = F.value_and_gradient(F.log_values({"M_H": 2 * it.hammer.M_H}))
+    >>> further > value
+    True
+    """
+    check_arguments(recordings, analyses, velocity, 0, None)
+    setup = given_setup(setup, velocity)
+    sounds, analyses = read_and_analyse(recordings, analyses, channel, note, f0, lambda *_: None)
+    from .inference import build_problem, objective_of
+
+    return objective_of(build_problem(sounds, analyses, setup, velocity))
 
 
 @one_blas_thread()
@@ -124,6 +184,25 @@ def check_arguments(
         raise ParameterError(
             f"velocity={velocity} m/s needs a single recording; for several give v_H0 in [[recording]] of the setup"
         )
+
+
+def check_start(
+    start: Mapping[str, float] | Sequence[Mapping[str, float]], budget: int | None
+) -> Sequence[Mapping[str, float]]:
+    """Return the guesses as a list. Raise a `ParameterError` for a value that is not positive, or a bad budget."""
+    starts = [start] if isinstance(start, Mapping) else start
+    check_type("start=", starts, list | tuple, "values in SI units by name, or a list of such guesses")
+    for own in starts:
+        check_type("start=", own, Mapping, "values in SI units by name, or a list of such guesses")
+        for name, value in own.items():
+            if not (isinstance(value, Real) and 0 < value < math.inf):
+                raise ParameterError(f"start=: {name}={value!r} must be a positive number in SI units")
+    if budget is not None:
+        check_type("budget=", budget, int, "a whole number of steps")
+        check_range("budget=", budget, 1, MAX_BUDGET)
+        if not starts:
+            raise ParameterError(f"budget={budget} needs start=, a guess of the hammer; or leave it out")
+    return starts
 
 
 def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: float | None) -> Setup:

@@ -16,14 +16,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from .fit_job import JobResult, Work, fit_job
-from .job import Job
+from .fit_job import JobResult, fit_job
 
 MAX_JOBS_PER_WORKER = 16  # jobs
 # Longest time for a new worker to start Python and to import what it needs, s. A job's time limit begins afterwards.
@@ -40,7 +39,7 @@ ONE_THREAD = dict.fromkeys(
 class _Worker:
     process: Any
     pipe: connection.Connection
-    job: Job | None = None
+    job: Any = None
     since: float = 0.0  # when it took the job; until then, when the job was sent
     taken: bool = False
     stage: str = ""
@@ -48,7 +47,7 @@ class _Worker:
 
 
 class ProcessPool:
-    """Processes on this machine that run `work` on each job.
+    """Processes on this machine that run `work` on each job: any object with a `key`.
 
     Parameters
     ----------
@@ -56,9 +55,17 @@ class ProcessPool:
     memory : limit for each process, bytes.
     time_limit : limit for each job, s.
     scratch : folder for temporary files.
+    work : function of a job, None, the scratch folder, and a function that receives each stage.
     """
 
-    def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_job) -> None:
+    def __init__(
+        self,
+        workers: int,
+        memory: int,
+        time_limit: float,
+        scratch: Path,
+        work: Callable[..., JobResult] = fit_job,
+    ) -> None:
         self.slots = self.capacity = workers
         self._memory, self._limit, self._scratch, self._work = memory, time_limit, scratch, work
         scratch.mkdir(exist_ok=True)
@@ -86,14 +93,14 @@ class ProcessPool:
         now = time.monotonic()
         return {w.job.key: (now - w.since, w.stage) for w in self._workers if w.job is not None}
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Any) -> None:
         """Start a job on a free worker, or on a new one."""
         worker = next((w for w in self._workers if w.job is None), None) or self._start()
         worker.job, worker.since, worker.taken, worker.stage = job, time.monotonic(), False, ""
         with contextlib.suppress(OSError):  # a dead worker is detected by its sentinel
             worker.pipe.send(job)
 
-    def finished(self, timeout: float) -> list[tuple[Job, JobResult]]:
+    def finished(self, timeout: float) -> list[tuple[Any, JobResult]]:
         """Wait up to `timeout` seconds for a job to end, and return the jobs that ended."""
         busy = [w for w in self._workers if w.job is not None]
         ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
@@ -170,7 +177,7 @@ def one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(pipe: connection.Connection, work: Work, memory: int, scratch: str) -> None:
+def _serve(pipe: connection.Connection, work: Callable[..., JobResult], memory: int, scratch: str) -> None:
     """Run jobs from the pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the batch handles Ctrl-C and ends its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()

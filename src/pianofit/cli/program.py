@@ -20,7 +20,7 @@ from ..io.files import DISK_FULL, encode_wav, output_folder, replace_file
 from ..io.number_format import format_like, format_with_interval
 from ..parameters import check_seed
 from ..progress import progress_bar
-from . import batch, export, fits, instrument, library, listening, sounds, tuning
+from . import batch, dataset, export, fits, instrument, library, listening, sounds, tuning
 from .options import Force, Json, Seed, real
 from .terminal import add, print_error, print_result
 
@@ -124,6 +124,7 @@ COMMANDS = {
     instrument.page: "pianofit page library --prefix cp80",
     tuning.tuning: "pianofit tuning library --a4 442 --octave 4:2 --out tuned",
     export.export: "pianofit export cp80/instrument.json --format sfz --out sampler",
+    dataset.dataset: "pianofit dataset --out notes --count 10000 --seed 1 --keys C2..C6 --path --noise 40..70",
     sounds.simulate: "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav",
     sounds.render: "pianofit render fitted/fit.json --velocity 3 --out harder.wav",
     listening.listen: "pianofit listen recorded fitted --out test",

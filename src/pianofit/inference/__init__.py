@@ -8,15 +8,17 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 from __future__ import annotations
 
 from ..progress import Progress
+from . import priors
 from .batched_model import run_in_batches, string_law
 from .derivatives import LatentPosterior
 from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
+from .objective_function import RecordingObjective, objective_of
 from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
-from .problem import FitProblem, build_problem, simulation_grid
+from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
 
 __all__ = [
     "KNOCK",
@@ -35,10 +37,14 @@ __all__ = [
     "Parametrisation",
     "Posterior",
     "Progress",
+    "RecordingObjective",
     "build_problem",
     "check_intervals",
     "map_estimate",
     "names_of",
+    "objective_of",
+    "prior_parametrisation",
+    "priors",
     "run_in_batches",
     "run_inference",
     "select_partials",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from .batched_model import LevelModel, compile_ahead
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .likelihood import walk_covariance
-from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, multistart, rank_hammers
+from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, from_starts, multistart, rank_hammers
 from .objective import Candidates, Objective, QuadraticSurrogate
 from .optimiser import Options, minimise, predicted_decrease
 from .parametrisation import STRING_SIZE
@@ -128,6 +128,8 @@ def run_inference(
     intervals: str = "laplace",
     seed: int = 0,
     progress: Progress = lambda *_: None,
+    starts: Sequence[Mapping[str, float]] = (),
+    budget: int | None = None,
 ) -> InferenceResult:
     """Infer string and hammer from recordings of one key; the arguments are those of `fit`, which documents them.
 
@@ -136,7 +138,7 @@ def run_inference(
     """
     check_intervals(intervals)
     problem = build_problem(recordings, analyses, setup or Setup(), velocity)
-    estimate = map_estimate(problem, seed, progress)
+    estimate = map_estimate(problem, seed, progress, starts, budget)
     return InferenceResult(problem, estimate, seed, compute_intervals(problem, estimate, intervals, seed, progress))
 
 
@@ -171,11 +173,24 @@ def compute_intervals(
     return None
 
 
-def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda *_: None) -> Estimate:
+def map_estimate(
+    problem: FitProblem,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+    starts: Sequence[Mapping[str, float]] = (),
+    budget: int | None = None,
+) -> Estimate:
     """Search F, and describe the posterior at its minima.
+
+    Parameters
+    ----------
+    starts : values by name from which the search starts too, in addition to samples of the prior.
+    budget : largest number of steps of every minimisation; F is then minimised from the starts only.
 
     Raises
     ------
+    ParameterError
+        For a start with an unknown name.
     FitError
         If no hammer gives a finite sound.
     """
@@ -184,10 +199,14 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     progress("hammer", 0.15)
     levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
     first = initial_point(problem, string.theta[0, :STRING_SIZE])
+    given = [starting_point(problem, first, start) for start in starts]
     compile_ahead(levels.level_model, complete.level_model, first[None])
-    candidates = multistart(levels, seed, first, progress)
+    if budget is None:
+        candidates = multistart(levels, seed, np.array([first, *given]), progress)
+    else:
+        candidates = from_starts(levels, np.array(given), budget)
     progress("string and hammer", 0.75)
-    minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string)
+    minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string, budget or ITERATIONS)
     progress("intervals", 0.88)
     strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
     return Estimate(*laplace(complete, minima), strokes)
@@ -217,30 +236,60 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
     return u.project(theta)
 
 
-def refine_minima(objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates) -> Minima:
+def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, float]) -> np.ndarray:
+    """θ [size] of given values by name, and of `first` for all others, inside the bounds.
+
+    The string stays that of `first`: the frequencies and decays of the partials determine it better.
+
+    Raises
+    ------
+    ParameterError
+        For a name that is not a parameter of this fit.
+    """
+    u, indices = problem.parametrisation, problem.parameter_indices
+    logs = u.log_values(first)
+    for name, value in start.items():
+        if name not in indices:
+            raise ParameterError(f"start=: this fit has no parameter {name!r}; use {', '.join(indices)}")
+        if u.free[indices[name]] and indices[name] >= STRING_SIZE:
+            logs[indices[name]] = np.log(value)
+    return u.project(u.from_log_values(logs))
+
+
+def refine_minima(
+    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int = ITERATIONS
+) -> Minima:
     """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
     Parameters
     ----------
     candidates, scores : minima with a fixed string, and minus the logarithms of their posterior masses.
     string : the string's own minimum.
+    steps : maximum number of steps of each minimisation.
 
     Raises `FitError` if no contact ends.
     """
     u = objective.problem.parametrisation
     near = candidates.take(np.array(deduplicate(candidates, u, scores, WITHIN)[:MOST]))
-    minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w)
+    minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w, steps)
     # Two distinct starts can end in the same minimum: it counts once.
     mass = objective.negative_log_mass(minima.candidates)
     return minima.take(np.array(deduplicate(minima.candidates, u, mass, WITHIN)))
 
 
-def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
+def refine(
+    objective: Objective,
+    theta: np.ndarray,
+    phi: Sequence[np.ndarray],
+    w: Sequence[np.ndarray],
+    steps: int = ITERATIONS,
+) -> Minima:
     """Minimise F and correct each candidate's discretisation error in turn; drop those whose contact does not end.
 
     Parameters
     ----------
     theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [5] and [R, K].
+    steps : maximum number of steps of each minimisation.
 
     Raises
     ------
@@ -252,7 +301,7 @@ def refine(objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w
     def minimised(theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Candidates:
         """Minimise each with the discretisation error at its start."""
         starts = objective.start(theta, phi, w, model.discretisation_error_db(theta))
-        return minimise(objective, starts, Options(ITERATIONS))
+        return minimise(objective, starts, Options(steps))
 
     candidates = minimised(theta, phi, w)
     if not len(candidates):

@@ -77,7 +77,7 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
     Parameters
     ----------
-    first : a start in addition to the samples of the prior [size].
+    first : starts in addition to the samples of the prior [starts, size].
 
     Raises
     ------
@@ -96,7 +96,7 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
         return functools.reduce(Candidates.join, ends)
 
     samples = rank_hammers(objective, sobol_samples(objective, seed), VELOCITIES, surrogates)
-    candidates = minimised([np.concatenate([first[None], theta[:FIRST]]) for theta in samples])
+    candidates = minimised([np.concatenate([first, theta[:FIRST]]) for theta in samples])
     if not len(candidates):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
@@ -115,6 +115,34 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
             candidates = _restarted(objective, candidates, points, gains)
         if objective.total(candidates)[0] > before - GAIN:
             break
+    return candidates
+
+
+def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candidates:
+    """Minimise F of the levels from given starts only; the lowest is first.
+
+    Every hammer also starts at its best velocities on the quadratic surrogates, because they depend on all other values
+    of the hammer.
+
+    Parameters
+    ----------
+    starts : θ [starts, size].
+    steps : maximum number of steps.
+
+    Raises
+    ------
+    FitError
+        If no start has a finite sound.
+    """
+    table = objective.problem.observed.level
+    phi = initial_hyperparameters(table)
+    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
+    ranked = rank_hammers(objective, starts, FINE_VELOCITIES, surrogates)
+    theta = np.concatenate([starts, *ranked])
+    error = objective.level_model.discretisation_error_db(theta)
+    candidates = minimise(objective, objective.start(theta, [phi], None, error), Options(steps))
+    if not len(candidates):
+        raise FitError(NO_HAMMER)
     return candidates
 
 

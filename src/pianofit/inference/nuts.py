@@ -22,21 +22,21 @@ from jaxtyping import Array
 
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
-from ..felt import FeltLaw
 from ..io.table_output import require_optional
 from ..x64 import float64, x64_scope
-from .batched_model import (
-    LevelModel,
-    level_jacobians_per_string,
-    levels_per_string,
-    string_residuals,
-    thread_pool,
+from .batched_model import thread_pool
+from .density import (
+    DensityContext,
+    density_context_at,
+    negative_log_density,
+    reflect,
+    reflect_into_bounds,
+    table_terms,
 )
 from .laplace import HYPER, Estimate, Interval, IntervalResult, ObservedValues, unbounded_warnings
-from .likelihood import ObservationTable, objective, pointwise
+from .likelihood import pointwise
 from .objective import HYPER_REACH
-from .parametrisation import STRING_SIZE, names_of
-from .problem import FitProblem, ModelInputs, StaticConfig
+from .problem import FitProblem, StaticConfig
 
 # R-hat compares chains with each other, and four show more than two. Warm-up adapts step and metric. The draws leave
 # some ten independent ones beyond each end of a 95 % interval.
@@ -195,58 +195,11 @@ class Point(NamedTuple):
     log_w: tuple[Array, ...]  # of the detected entries
 
 
-class DensityContext(NamedTuple):
-    """The minimum, its coordinates, the bounds, the priors and the tables."""
-
-    theta: Any  # [size]
-    root: Any  # from whitened coordinates to θ [size, free]
-    bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
-    power: Any  # index of the force and of the exponent; None if a fit does not search a force
-    reference_compression: Any  # m
-    prior: tuple[Any, Any]  # mean and precision [size]
-    joint: tuple[Any, Any, Any] | None  # invariants, their mean [quantities] and precision, if other keys gave a prior
-    tables: tuple[ObservationTable, ...]
-    phi: tuple[Any, ...]
-    w: tuple[Any, ...]
-    detected: tuple[Any, ...]  # row and column of every detected entry [N, 2]
-    offset: Any  # discretisation error of the contact, dB [R, K]
-    has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
-    stroke: Any  # index of the stroke, by recording [R]
-    column: Any  # index of the model's partial, by column of the table [K]
-    # Exponents of given and of other values by uncertain sizes [sizes, size], and derivatives of the levels by them, dB
-    # [sizes, K]. None if all sizes are exact.
-    scaling: tuple[Any, Any, Any] | None
-    cents: Any  # pitch offset of every stroke
-    partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
-    inputs: ModelInputs
-
-
 def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
     """Collect what the density needs at the best minimum."""
-    u, o, best, model = problem.parametrisation, problem.observed, estimate.minima.candidates, LevelModel(problem)
-    tables = o.level, o.frequency, o.decay
-    fields = (
-        best.theta[0],
-        _whitening_root(problem, estimate),
-        (u.lower, u.upper),
-        u.force_and_exponent_index,
-        u.reference_compression,
-        (u.mean, u.precision),
-        None if u.joint is None else (u.joint.invariants, u.joint.mean, u.joint.precision),
-        tables,
-        tuple(phi[0] for phi in best.phi),
-        tuple(w[0] for w in best.w),
-        tuple(np.argwhere(np.asarray(t.detected) > 0) for t in tables),
-        best.offset[0],
-        model.has_level,
-        model.stroke,
-        model.columns,
-        (u.exponents * u.given, u.exponents * ~u.given, model.by_size) if u.sizes else None,
-        model.cents,
-        (o.string_number, o.law, float(problem.initial_values.geometry.length)),
-        problem.model_inputs,
-    )
-    return DensityContext(*jax.tree.map(np.asarray, fields))
+    best = estimate.minima.candidates
+    phi, w = [phi[0] for phi in best.phi], [w[0] for w in best.w]
+    return density_context_at(problem, best.theta[0], _whitening_root(problem, estimate), phi, w, best.offset[0])
 
 
 def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
@@ -269,37 +222,6 @@ def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     return root
 
 
-def reflect_into_bounds(at: DensityContext, whitened, law: FeltLaw):
-    """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
-    free = (at.root != 0).any(axis=1)
-    theta = at.theta + at.root @ whitened
-    lower, upper = at.bounds
-    if at.scaling is not None:
-        scaled = _size_changes(at, theta) @ at.scaling[1]
-        lower, upper = lower - scaled, upper - scaled
-    reflected = jnp.where(free, _reflect(theta, lower, upper), theta)
-    if at.power is None:
-        return reflected
-    i, p = at.power
-    values = {name: jnp.exp(log) for name, log in zip(names_of(law), reflected, strict=False)}
-    shift = jnp.exp(reflected[p]) * jnp.log(law.power_base(at.reference_compression, values))
-    force = _reflect(theta[i], lower[i] + shift, upper[i] + shift)
-    return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
-
-
-def _size_changes(at: DensityContext, theta):
-    """Logarithms of the uncertain sizes over their given values [sizes]; they are the last of θ."""
-    count = 0 if at.scaling is None else len(at.scaling[0])
-    return theta[len(theta) - count :] - at.prior[0][len(theta) - count :]
-
-
-def _reflect(x, low, high):
-    bounded = jnp.isfinite(high - low) & (high > low)
-    width = jnp.where(bounded, high - low, 1.0)
-    phase = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
-    return jnp.where(bounded, low + jnp.where(phase < width, phase, 2 * width - phase), x)
-
-
 def random_start(at: DensityContext, key, spread: float) -> Point:
     """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
@@ -315,75 +237,27 @@ def random_start(at: DensityContext, key, spread: float) -> Point:
 def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
     """-F; minus infinity where a contact does not end."""
     at = jax.tree.map(jnp.asarray, at)
-    theta, ended, terms = _terms(at, point, cfg)
-    mean, precision = at.prior
-    F = 0.5 * (precision * (theta - mean) ** 2).sum()
-    if at.joint is not None:
-        invariants, centre, joint_precision = at.joint
-        deviation = invariants(theta, cfg.law, jnp) - centre
-        F = F + 0.5 * deviation @ joint_precision @ deviation
-    for term in terms:
-        F = F + objective(*term)
-    return jnp.where(ended.all(), -F, -jnp.inf)
+    return -negative_log_density(at, *_unknowns(at, point, cfg), cfg)
 
 
 def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
     at = jax.tree.map(jnp.asarray, at)
-    densities = [pointwise(*term, xp=jnp) for term in _terms(at, point, cfg)[2]]
+    densities = [pointwise(*term, xp=jnp) for term in table_terms(at, *_unknowns(at, point, cfg), cfg)[1]]
     detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
     return *detected, densities[0][1]
 
 
-def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
-    """θ, whether contacts ended, and the arguments of `objective` for every table."""
-    theta = reflect_into_bounds(at, point.whitened, cfg.law)
-    entries = theta
-    if at.scaling is not None:
-        entries = theta - _size_changes(at, theta) @ at.scaling[0]
-    level, ended = _levels(at, cfg)(entries)
-    if at.scaling is not None:
-        level = level.at[:, at.column].add(_size_changes(at, theta) @ at.scaling[2])
-    o = at.tables[0]
-    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.has_level
-    strings = [t.value[0] for t in at.tables[1:]]
-    residuals = residual, *string_residuals(entries[:STRING_SIZE], strings, *at.partials, jnp)[0]
-    terms = []
-    for table, r, phi, w, index, x, y in zip(
-        at.tables, residuals, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True
-    ):
+def _unknowns(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, list[Array], list[Array]]:
+    """θ inside the bounds, and φ and w of every table."""
+    theta, phis, ws = reflect_into_bounds(at, point.whitened, cfg.law), [], []
+    for table, phi, w, index, x, y in zip(at.tables, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True):
         centre, sd = table.prior
         reach = HYPER_REACH * sd if table is at.tables[0] else jnp.full_like(sd, jnp.inf)
         hyper = phi.at[: len(x)].add(sd[: len(x)] * x)
-        hyper = _reflect(hyper, centre - reach, centre + reach)
+        phis.append(reflect(hyper, centre - reach, centre + reach))
         # At its minimum, F has the curvature (ν + 1)/2 in log w of one entry.
         scale = jnp.sqrt(2 / (table.degrees_of_freedom + 1))
         change = jnp.zeros_like(w).at[index[:, 0], index[:, 1]].set(scale * y)
-        terms.append((table, r, hyper, w * jnp.exp(change), theta))
-    return theta, ended, terms
-
-
-def _levels(at: DensityContext, cfg: StaticConfig):
-    """Function of θ: levels, dB [strokes, rows], and whether contacts ended; with the search's forward derivatives."""
-
-    def batch(theta):
-        strokes = len(at.cents)
-        shared = len(theta) - strokes - (0 if at.scaling is None else len(at.scaling[0]))
-        velocity = theta[shared : shared + strokes, None]
-        hammers = jnp.tile(theta[STRING_SIZE:shared], (strokes, 1))
-        return jnp.tile(theta[:STRING_SIZE], (strokes, 1)), at.cents, jnp.concatenate([hammers, velocity], axis=1)
-
-    @jax.custom_jvp
-    def levels(theta):
-        return levels_per_string(*batch(theta), at.inputs, cfg)
-
-    @levels.defjvp
-    def _jvp(primal, tangent):
-        level, slope, ended = level_jacobians_per_string(*batch(primal[0]), at.inputs, cfg)
-        (change,) = tangent
-        string, _, entries = batch(change)
-        moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)
-        moved += (slope[..., STRING_SIZE:] * entries[:, None, at.inputs.free]).sum(axis=-1)
-        return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
-
-    return levels
+        ws.append(w * jnp.exp(change))
+    return theta, phis, ws

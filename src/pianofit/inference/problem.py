@@ -255,7 +255,7 @@ def _model(
     # A given stiffness is fixed as it is.
     fixed = law.power is None or law.power[0] in start.fixed
     u_ref = 0.0 if fixed else reference_compression(midi_of(string.c / (2 * geometry.length)))
-    unknowns = _parametrisation(start, measured, u_ref)
+    unknowns = prior_parametrisation(start, measured, u_ref)
     round_trip = 2 * geometry.strike_position / string.c
     contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)
     free = np.append(np.flatnonzero(unknowns.moving[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
@@ -280,7 +280,14 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def _parametrisation(start: InitialValues, measured: Sequence[float | None], u_ref: float) -> Parametrisation:
+def prior_parametrisation(start: InitialValues, measured: Sequence[float | None], u_ref: float) -> Parametrisation:
+    """Return priors and bounds of all parameters.
+
+    Parameters
+    ----------
+    measured : measured velocity of every stroke, m/s, or None.
+    u_ref : reference compression of the searched force, m; 0 if the stiffness itself is searched.
+    """
     values, geometry, law = start.values, start.geometry, start.law
     names, sizes = names_of(law), tuple(name for name in SIZES if name in start.relative_sd)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}

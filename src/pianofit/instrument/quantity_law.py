@@ -45,6 +45,11 @@ class Prior(NamedTuple):
         scatter = EXPECTED_SCATTER * self.spread if self.scatter is None else self.scatter
         return EXPECTED_SMOOTH * self.spread, scatter, EXPECTED_LENGTH
 
+    def sd_at(self, midi: float) -> float:
+        """Standard deviation of one key of any instrument from the literature, at the median shape."""
+        smooth, scatter, _ = self.medians
+        return float(np.sqrt(self.offset**2 + (self.slope_sd * (midi - MIDDLE) / HALF) ** 2 + smooth**2 + scatter**2))
+
 
 class LawShape(NamedTuple):
     """Spreads of one quantity over the keyboard, on the scale of its law: numbers, or arrays of several shapes."""

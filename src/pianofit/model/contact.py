@@ -156,13 +156,17 @@ def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> P
 
 
 @float64
-def strike_until_over(modes: Modes, hammer: Any, *, steps: int | AnyArray, stored: int) -> tuple[Pulse, Array]:
+def strike_until_over(
+    modes: Modes, hammer: Any, *, steps: int | AnyArray, stored: int, batch: str | None = None
+) -> tuple[Pulse, Array]:
     """Return the pulse of a strike on a string at rest; it stops once the contact is proven over.
 
     Parameters
     ----------
     steps : largest number of steps, a multiple of 32, at most `stored`. It may be traced.
     stored : steps of the arrays of the pulse.
+    batch : name of the axis of `jax.vmap`. All strokes then stop together, after the longest contact. Without the name
+        each would copy its arrays in every block until then.
 
     Returns
     -------
@@ -171,7 +175,7 @@ def strike_until_over(modes: Modes, hammer: Any, *, steps: int | AnyArray, store
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
     outputs = (*(jnp.zeros(stored + 1),) * 4, jnp.zeros(stored + 1).at[0].set(hammer.v_H0))
-    count, _, _, outputs, work, over = _until_over(modes, hammer, at_rest, steps, None, outputs)
+    count, _, _, outputs, work, over = _until_over(modes, hammer, at_rest, steps, None, outputs, batch)
     drive, force, u, y, v = (x[:-1] for x in outputs)
     return Pulse(drive, force, u, jnp.stack([y, v], axis=-1), work, over), jnp.asarray(count * BLOCK)
 
@@ -204,13 +208,22 @@ def strike_moving_string(
     return drive[:-1], force[:-1], over
 
 
-def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArray, powers=None, outputs=()):
+def _until_over(
+    modes: Modes,
+    hammer: Any,
+    free: FreeMotion,
+    steps: int | AnyArray,
+    powers=None,
+    outputs=(),
+    batch: str | None = None,
+):
     """Step block by block until the contact is proven to be over.
 
     Parameters
     ----------
     outputs : arrays that receive drive and force, N, compression, m, and the hammer's position, m, and velocity, m/s
         [steps + 1], as many of these as given.
+    batch : see `strike_until_over`.
 
     Returns
     -------
@@ -222,7 +235,8 @@ def _until_over(modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArr
     advanced = free.amplitude * jnp.exp(modes.pole * modes.step)
 
     def is_unfinished(state):
-        return (state[0] < steps // BLOCK) & ~state[-1]
+        unfinished = (state[0] < steps // BLOCK) & ~state[-1]
+        return unfinished if batch is None else jax.lax.pmax(unfinished.astype(int), batch) > 0
 
     def advance_block(state):
         count, carry, _, outputs, previous, energy, _ = state

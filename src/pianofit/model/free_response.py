@@ -9,6 +9,7 @@ pickup. H depends on the string alone. Evaluation at σ > 0 is the same as multi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -204,7 +205,19 @@ def waveform(
     """
     ratio = _ratio(modes, rate, oversampling)
     drive = np.zeros(1) if drive is None else drive
-    arrays = (modes.pole, drive, *_pickup_amplitudes(modes, drive, free, None))
+    return sounding(modes.pole, drive, _pickup_amplitudes(modes, drive, free, None), ratio, rate, samples)
+
+
+def sounding(pole: AnyArray, drive: AnyArray, amplitudes: Sequence[AnyArray], ratio: int, rate: float, samples: int):
+    """The signal [samples] at `rate`, Hz, of modes with these poles, 1/s.
+
+    Parameters
+    ----------
+    drive : of a pulse, N [steps], at the contact rate.
+    amplitudes : as `pickup_amplitudes` returns them.
+    ratio : steps of the contact per sample.
+    """
+    arrays = (pole, drive, *amplitudes)
     xp = jnp if any(isinstance(x, Tracer) for x in arrays) else np
     pole, drive, *amplitudes = map(xp.asarray, arrays)
     unit, amplitude, *release = (x * (xp.abs(xp.imag(pole)) < xp.pi * rate) for x in amplitudes)
@@ -239,6 +252,10 @@ def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
 
 @persistent_jit
 def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None, _: None) -> tuple[Array, ...]:
+    return pickup_amplitudes(modes, drive, free)
+
+
+def pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None = None) -> tuple[Array, ...]:
     """Amplitudes at the pickup after a unit `T` at step 0, after the whole pulse, and of `free` alone [modes]."""
     amplitudes = (modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free))
     return amplitudes if free is None else (*amplitudes, modes.free_pickup * free.amplitude)

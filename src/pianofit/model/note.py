@@ -174,10 +174,13 @@ class Note(NamedTuple):
 
     def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
         """Render the modes of the string through the path, from the contact on [count]."""
-        path = sample_at_modes(self.path, np.asarray(strike.modes.pole))
         modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain)
-        sound = strike._replace(modes=modes).waveform(rate, count)
-        return apply_filter(sound, impulse_response(path, rate))[:count]
+        return self.through_path(strike._replace(modes=modes).waveform(rate, count), modes.pole, rate)
+
+    def through_path(self, sound: np.ndarray, pole: Any, rate: float) -> np.ndarray:
+        """Filter the sound [samples] of modes with complex `pole`, 1/s [modes], by the output path; same length."""
+        path = sample_at_modes(self.path, np.asarray(pole))
+        return apply_filter(sound, impulse_response(path, rate))[: len(sound)]
 
     def frequencies(self, count: int) -> np.ndarray:
         """Frequencies of the first partials by the string model, Hz [partials]; measured ones differ slightly."""

@@ -67,8 +67,8 @@ def enable_program_cache() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def persistent_jit(function: Callable) -> Callable:
-    """Jit `function(*arrays, cfg)`, static in `cfg`, and keep the programs of the last `MAX_LOADED` shapes.
+def persistent_jit(function: Callable, loaded: int = MAX_LOADED) -> Callable:
+    """Jit `function(*arrays, cfg)`, static in `cfg`, and keep the programs of the last `loaded` shapes.
 
     Arguments are trees of arrays, of float64 or integers. `cfg` is hashable and its `repr` determines its value. The
     result is a tuple of arrays. Traced programs are also stored in the folder of JAX, if it is set. Programs with a
@@ -77,7 +77,7 @@ def persistent_jit(function: Callable) -> Callable:
     jitted = jax.jit(function, static_argnums=-1)
     lock = threading.Lock()  # threads that need the same program compile it once
 
-    @functools.lru_cache(maxsize=MAX_LOADED)
+    @functools.lru_cache(maxsize=loaded)
     def program(folder: str | None, cfg: Hashable, tree, shapes: tuple) -> Callable:
         whole = jax.jit(lambda *x: function(*jax.tree.unflatten(tree, x), cfg))
         leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]

@@ -15,6 +15,7 @@ import numpy as np
 from ..felt import FeltLaw, law_of
 from ..parameters import Geometry, String
 from .contact import Pulse, strike_until_over
+from .damped_sums import BLOCK
 from .modes import Modes, mode_table
 from .note import Note
 from .program_cache import persistent_jit
@@ -22,6 +23,8 @@ from .simulate import Simulation
 
 # Strokes of one call. Larger batches wait for their longest contact.
 BATCH_SIZE = 16
+# Name of the axis of `jax.vmap`.
+BATCH = "strokes"
 # Stored steps over those of the first stroke, and their multiple, so that keys share programs.
 MARGIN, STEPS = 2.0, 1024
 
@@ -46,12 +49,18 @@ def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
     """
 
     def one(string, hammer, geometry):
-        table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
-        modes = mode_table(String(*string), Geometry(*geometry), **table)
-        pulse, steps = strike_until_over(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, stored=cfg.steps)
+        modes, pulse, steps = stroke_until_over(string, hammer, geometry, rate, cfg)
         return (*modes, *pulse, steps)
 
-    return jax.vmap(one)(strings, hammers, geometries)
+    return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries)
+
+
+def stroke_until_over(string, hammer, geometry, rate, cfg: StrokesConfig):
+    """Table of modes, pulse, and number of computed steps of one stroke of a batch; fields in their order [fields]."""
+    table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
+    modes = mode_table(String(*string), Geometry(*geometry), **table)
+    hammer = cfg.law.hammer_type(*hammer)
+    return modes, *strike_until_over(modes, hammer, steps=cfg.steps, stored=cfg.steps, batch=BATCH)
 
 
 def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrokesConfig]:
@@ -61,17 +70,24 @@ def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[n
     ----------
     first : stroke of one of the notes.
     """
-    parts = (
-        np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry")
-    )
     modes, step = len(first.modes.pole), float(first.modes.step)
     steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
-    return tuple(parts), np.float64(1 / step), StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+    cfg = StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+    return parameter_arrays(notes), np.float64(1 / step), cfg
+
+
+def parameter_arrays(notes: Sequence[Note]) -> tuple[np.ndarray, ...]:
+    """Return string, hammer and geometry of the notes, each as fields in their order [notes, fields]."""
+    parts = ("string", "hammer", "geometry")
+    return tuple(np.array([[*map(float, getattr(note, part))] for note in notes]) for part in parts)
 
 
 def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
     """Return every stroke from the result of `strokes`. The pulse of an unfinished contact says so."""
     *arrays, steps = leaves
+    drive = arrays[len(Modes._fields)]
+    pressed = drive.shape[1] - np.argmax(drive[:, ::-1] != 0, axis=1)
+    steps = np.minimum(steps, BLOCK * (pressed // BLOCK + 1))
     tables, pulses = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
 
     def one(i: int) -> Simulation:

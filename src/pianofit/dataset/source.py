@@ -1,0 +1,137 @@
+"""The notes that a data set is drawn around: the literature's for each key, or those of a fit or an instrument."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..analysis.note_names import midi_to_note, note_to_midi
+from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
+from ..errors import AnalysisError, OutputError, ParameterError, check_range, check_type
+from ..felt import DEFAULT_LAW
+from ..instrument import load_instrument
+from ..io.files import path_name, printable, read_file
+from ..literature import typical
+from ..model.note import Note, check_render
+from ..schema.dataset import NoteOptions
+from ..schema.decode import load_json
+from ..schema.fit import fit_path
+from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT
+from ..schema.notes import load_note
+
+# Largest number of layers: 128 MIDI velocities.
+MAX_LAYERS = 128
+MAX_SPREAD = 3.0  # of the priors, beyond which most draws end at a bound
+MAX_NOISE_DB = 200.0  # dB below the note, below the rounding of 32 bit samples
+KIND = "a fit.json or an instrument.json"
+
+
+class Source(NamedTuple):
+    """Central notes of a data set by MIDI number, and the hash of their file."""
+
+    notes: Mapping[int, Note]
+    sha256: str | None = None  # None for the literature
+
+
+def check_options(options: NoteOptions) -> None:
+    """Raise a `ParameterError` for an option that is out of range or of the wrong type."""
+    check_type("options=", options, NoteOptions, "a NoteOptions")
+    check_type("rate=", options.rate, int, "a whole number of Hz")
+    check_render(None, options.seconds, options.rate)
+    check_type("layers=", options.layers, int, "a whole number")
+    check_range("layers=", options.layers, 1, MAX_LAYERS)
+    check_range("spread=", options.spread, 0.0, MAX_SPREAD)
+    for name in ("path", "modal_response"):
+        check_type(f"{name}=", getattr(options, name), bool, "True or False")
+    low, high = noise_range(options) or (0.0, 0.0)
+    check_range("noise_db=", low, 0.0, MAX_NOISE_DB, " dB")
+    check_range("noise_db=", high, low, MAX_NOISE_DB, " dB")
+    if options.modal_response and options.around is None:
+        raise ParameterError("modal_response=True needs around=, a fit or an instrument with measured modes")
+
+
+def noise_range(options: NoteOptions) -> tuple[float, float] | None:
+    """Return the lowest and the highest level of the noise below the note, dB; None without noise."""
+    noise = options.noise_db
+    if noise is None:
+        return None
+    pair = noise if isinstance(noise, tuple | list) else (noise, noise)
+    if len(pair) != 2:
+        raise ParameterError(f"noise_db={noise!r} must be a level in dB, or the lowest and the highest level")
+    return pair[0], pair[1]
+
+
+def load_source(options: NoteOptions) -> Source:
+    """Return the central notes of the keys that the options choose.
+
+    Raises
+    ------
+    ParameterError
+        For an invalid range of keys, and for keys or modal responses that a fit or an instrument lacks.
+    FitError
+        If the file is neither a fit nor an instrument.
+    """
+    check_options(options)
+    around = Source(_Literature()) if options.around is None else _read(path_name(options.around))
+    own = around.notes
+    first, last = options.keys or (min(own), max(own))
+    low, high = _midi(first), _midi(last)
+    chosen = {midi: own[midi] for midi in range(low, high + 1) if midi in own}
+    if not chosen:
+        span = f"{midi_to_note(min(own))} to {midi_to_note(max(own))}"
+        raise ParameterError(f"keys={first}..{last}: choose keys from low to high, within {span}")
+    if options.modal_response and (missing := [m for m, note in chosen.items() if note.modal_response is None]):
+        name, count = printable(options.around), len(missing)
+        raise ParameterError(
+            f"modal_response=True: {count} of the keys of {name} have no modal response; choose others"
+        )
+    return Source(chosen, around.sha256)
+
+
+def _midi(key: str | int) -> int:
+    try:
+        midi = note_to_midi(key)
+    except AnalysisError as error:
+        raise ParameterError(f"keys=: {error}") from None
+    check_range("keys=", midi, LOWEST_KEY, HIGHEST_KEY, hint="; 60 is C4")
+    return midi
+
+
+class _Literature(Mapping[int, Note]):
+    """The literature's notes of a piano, made when they are asked for."""
+
+    def __iter__(self) -> Any:
+        return iter(range(LOWEST_KEY, HIGHEST_KEY + 1))
+
+    def __len__(self) -> int:
+        return HIGHEST_KEY - LOWEST_KEY + 1
+
+    def __getitem__(self, midi: int) -> Note:
+        it = typical(midi)
+        values = it.hammer._asdict() | {n: p.prior_median(midi) for n, p in DEFAULT_LAW.parameters.items()}
+        hammer = DEFAULT_LAW.make_hammer({name: values[name] for name in DEFAULT_LAW.hammer_parameters})
+        # As in a fit that is not given the width of the contact.
+        geometry = it.geometry._replace(width=min(it.geometry.width, 0.1 * it.geometry.length))
+        return Note(it.string, hammer, geometry, "bridge-force", 1.0)
+
+
+@lru_cache(maxsize=1)  # a worker reads it for every block
+def _read(name: str) -> Source:
+    """Read the notes of a fit or of an instrument."""
+    path = Path(name)
+    file = path / INSTRUMENT_FILE
+    if path.is_dir() and not file.is_file():
+        file = fit_path(path)
+        if not file.is_file():
+            raise OutputError(f"{printable(path)}: has neither a fit.json nor an instrument.json; give such a folder")
+    elif not path.is_dir():
+        file = path
+    digest = hashlib.sha256(read_file(file, LARGEST_INSTRUMENT, ParameterError)).hexdigest()
+    content = load_json(file, Any, LARGEST_INSTRUMENT, KIND, f"give {KIND}")
+    if isinstance(content, dict) and content.get("kind") == "instrument":
+        return Source({midi: key.note for midi, key in load_instrument(file).keys.items()}, digest)
+    note, _ = load_note(file)
+    return Source({round(midi_of(float(note.f0))): note}, digest)

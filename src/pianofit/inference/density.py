@@ -1,0 +1,171 @@
+"""F as one function of JAX, with derivatives of any kind: for samplers, and for programs of users.
+
+The search has its own derivatives in closed form (`derivatives`). Here only the levels have a rule of their own, the
+forward derivatives of the search, because a contact has few inputs and many steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..felt import FeltLaw
+from .batched_model import LevelModel, level_jacobians_per_string, levels_per_string, string_residuals
+from .likelihood import ObservationTable, objective
+from .parametrisation import STRING_SIZE, names_of
+from .problem import FitProblem, ModelInputs, StaticConfig
+
+
+class DensityContext(NamedTuple):
+    """A point, coordinates about it, the bounds, the priors and the tables."""
+
+    theta: Any  # [size]
+    root: Any  # from whitened coordinates to θ [size, free]
+    bounds: tuple[Any, Any]  # [size] each; those of log K_H in place of the force
+    power: Any  # index of the force and of the exponent; None if a fit does not search a force
+    reference_compression: Any  # m
+    prior: tuple[Any, Any]  # mean and precision [size]
+    joint: tuple[Any, Any, Any] | None  # invariants, their mean [quantities] and precision, if other keys gave a prior
+    tables: tuple[ObservationTable, ...]
+    phi: tuple[Any, ...]
+    w: tuple[Any, ...]
+    detected: tuple[Any, ...]  # row and column of every detected entry [N, 2]
+    offset: Any  # discretisation error of the contact, dB [R, K]
+    has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
+    stroke: Any  # index of the stroke, by recording [R]
+    column: Any  # index of the model's partial, by column of the table [K]
+    # Exponents of given and of other values by uncertain sizes [sizes, size], and derivatives of the levels by them, dB
+    # [sizes, K]. None if all sizes are exact.
+    scaling: tuple[Any, Any, Any] | None
+    cents: Any  # pitch offset of every stroke
+    partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
+    inputs: ModelInputs
+
+
+def density_context_at(
+    problem: FitProblem,
+    theta: np.ndarray,
+    root: np.ndarray,
+    phi: Sequence[np.ndarray],
+    w: Sequence[np.ndarray],
+    offset: np.ndarray,
+) -> DensityContext:
+    """Collect what the density needs about a point: see `DensityContext`."""
+    u, o, model = problem.parametrisation, problem.observed, LevelModel(problem)
+    tables = o.level, o.frequency, o.decay
+    fields = (
+        theta,
+        root,
+        (u.lower, u.upper),
+        u.force_and_exponent_index,
+        u.reference_compression,
+        (u.mean, u.precision),
+        None if u.joint is None else (u.joint.invariants, u.joint.mean, u.joint.precision),
+        tables,
+        tuple(phi),
+        tuple(w),
+        tuple(np.argwhere(np.asarray(t.detected) > 0) for t in tables),
+        offset,
+        model.has_level,
+        model.stroke,
+        model.columns,
+        (u.exponents * u.given, u.exponents * ~u.given, model.by_size) if u.sizes else None,
+        model.cents,
+        (o.string_number, o.law, float(problem.initial_values.geometry.length)),
+        problem.model_inputs,
+    )
+    return DensityContext(*jax.tree.map(np.asarray, fields))
+
+
+def reflect_into_bounds(at: DensityContext, whitened, law: FeltLaw):
+    """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
+    free = (at.root != 0).any(axis=1)
+    theta = at.theta + at.root @ whitened
+    lower, upper = at.bounds
+    if at.scaling is not None:
+        scaled = size_changes(at, theta) @ at.scaling[1]
+        lower, upper = lower - scaled, upper - scaled
+    reflected = jnp.where(free, reflect(theta, lower, upper), theta)
+    if at.power is None:
+        return reflected
+    i, p = at.power
+    values = {name: jnp.exp(log) for name, log in zip(names_of(law), reflected, strict=False)}
+    shift = jnp.exp(reflected[p]) * jnp.log(law.power_base(at.reference_compression, values))
+    force = reflect(theta[i], lower[i] + shift, upper[i] + shift)
+    return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
+
+
+def size_changes(at: DensityContext, theta):
+    """Logarithms of the uncertain sizes over their given values [sizes]; they are the last of θ."""
+    count = 0 if at.scaling is None else len(at.scaling[0])
+    return theta[len(theta) - count :] - at.prior[0][len(theta) - count :]
+
+
+def reflect(x, low, high):
+    """Reflect `x` into finite bounds."""
+    bounded = jnp.isfinite(high - low) & (high > low)
+    width = jnp.where(bounded, high - low, 1.0)
+    phase = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
+    return jnp.where(bounded, low + jnp.where(phase < width, phase, 2 * width - phase), x)
+
+
+def negative_log_density(at: DensityContext, theta, phi: Sequence[Any], w: Sequence[Any], cfg: StaticConfig):
+    """F at θ [size], and φ and w of every table; infinite where a contact does not end."""
+    ended, terms = table_terms(at, theta, phi, w, cfg)
+    mean, precision = at.prior
+    F = 0.5 * (precision * (theta - mean) ** 2).sum()
+    if at.joint is not None:
+        invariants, centre, joint_precision = at.joint
+        deviation = invariants(theta, cfg.law, jnp) - centre
+        F = F + 0.5 * deviation @ joint_precision @ deviation
+    for term in terms:
+        F = F + objective(*term)
+    return jnp.where(ended.all(), F, jnp.inf)
+
+
+def table_terms(
+    at: DensityContext, theta, phi: Sequence[Any], w: Sequence[Any], cfg: StaticConfig
+) -> tuple[Array, list[tuple]]:
+    """Return which contacts ended, and the arguments of `objective` for every table."""
+    entries = theta
+    if at.scaling is not None:
+        entries = theta - size_changes(at, theta) @ at.scaling[0]
+    level, ended = _levels(at, cfg)(entries)
+    if at.scaling is not None:
+        level = level.at[:, at.column].add(size_changes(at, theta) @ at.scaling[2])
+    o = at.tables[0]
+    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.has_level
+    strings = [t.value[0] for t in at.tables[1:]]
+    residuals = residual, *string_residuals(entries[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    return ended, [(*parts, theta) for parts in zip(at.tables, residuals, phi, w, strict=True)]
+
+
+def _levels(at: DensityContext, cfg: StaticConfig):
+    """Function of θ: levels, dB [strokes, rows], and whether contacts ended; with the search's forward derivatives."""
+
+    def batch(theta):
+        strokes = len(at.cents)
+        shared = len(theta) - strokes - (0 if at.scaling is None else len(at.scaling[0]))
+        velocity = theta[shared : shared + strokes, None]
+        hammers = jnp.tile(theta[STRING_SIZE:shared], (strokes, 1))
+        return jnp.tile(theta[:STRING_SIZE], (strokes, 1)), at.cents, jnp.concatenate([hammers, velocity], axis=1)
+
+    @jax.custom_jvp
+    def levels(theta):
+        return levels_per_string(*batch(theta), at.inputs, cfg)
+
+    @levels.defjvp
+    def _jvp(primal, tangent):
+        level, slope, ended = level_jacobians_per_string(*batch(primal[0]), at.inputs, cfg)
+        (change,) = tangent
+        string, _, entries = batch(change)
+        moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)
+        moved += (slope[..., STRING_SIZE:] * entries[:, None, at.inputs.free]).sum(axis=-1)
+        return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
+
+    return levels
