@@ -154,11 +154,27 @@ class ProcessPool:
         ours, theirs = self._context.Pipe()
         given = (theirs, self._work, self._memory, str(self._scratch))
         worker = _Worker(self._context.Process(target=_serve, args=given, daemon=True), ours)
-        with one_thread():
+        with one_thread(), uninterrupted():
             worker.process.start()
+            self._workers.append(worker)
         theirs.close()
-        self._workers.append(worker)
         return worker
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back. A process whose start is interrupted would print a traceback."""
+    if threading.current_thread() is not threading.main_thread():  # only this one is interrupted
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        signal.raise_signal(signal.SIGINT)
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -62,7 +63,7 @@ def dataset(
         spread=spread,
     )
     jobs = cores() if jobs is None else jobs
-    with cleanup_on_interrupt(lambda: None):  # the same command continues
+    with cleanup_on_interrupt(_end_workers):  # the same command continues
         made = write_dataset(out, count, seed=seed, options=options, format=cast("SoundFormat", form), jobs=jobs)
     there = f", {counted(made.notes - made.made, 'note')} were there before" if made.made < made.notes else ""
     words = (
@@ -70,6 +71,13 @@ def dataset(
         f"{made.seconds:.1f} s\nnotes.csv has one row a sound, dataset.json its columns and units\n"
     )
     print_result(made, words, as_json)
+
+
+def _end_workers() -> None:
+    for worker in multiprocessing.active_children():
+        worker.kill()
+    for worker in multiprocessing.active_children():
+        worker.join()
 
 
 def _pair(given: str, option: str, example: str) -> tuple[str, str]:
