@@ -34,13 +34,19 @@ ELEMENTS = {
     "DecentSampler": (None, set(), {"minVersion"}),
     "groups": ("DecentSampler", set(), {"attack", "decay", "sustain", "release"}),
     "group": ("groups", set(), {"ampVelTrack", "volume", "tags", "trigger", "pitchKeyTrack",
-                                "loCC64", "hiCC64", "loCC67", "hiCC67"}),
+                                "release", "loCC64", "hiCC64", "loCC67", "hiCC67"}),
     "sample": ("group", {"path", "rootNote"},
                {"loNote", "hiNote", "loVel", "hiVel", "volume", "release", "ampEnvEnabled"}),
     "modulators": ("DecentSampler", set(), set()),
     "midiVelocity": ("modulators", set(), {"modAmount", "scope"}),
-    "binding": ("midiVelocity", {"type", "level", "parameter"},
-                {"groupIndex", "modBehavior", "translation", "translationTable"}),
+    "binding": ("midiVelocity|labeled-knob", {"type", "level", "parameter"},
+                {"groupIndex", "modBehavior", "position", "translation", "translationTable", "translationOutputMin",
+                 "translationOutputMax"}),
+    "ui": ("DecentSampler", set(), {"width", "height"}),
+    "tab": ("ui", set(), {"name"}),
+    "labeled-knob": ("tab", {"x", "y", "label", "type", "minValue", "maxValue", "value"}, {"width", "textSize"}),
+    "effects": ("DecentSampler", set(), set()),
+    "effect": ("effects", {"type"}, {"frequency"}),
 }  # fmt: skip
 
 
@@ -68,7 +74,7 @@ def test_the_text_is_what_the_format_documents(root):
     for parent in root.iter():
         for child in parent:
             within, needed, allowed = ELEMENTS[str(child.tag)]
-            assert parent.tag == within
+            assert parent.tag in (within or "").split("|")
             assert needed <= set(child.attrib) <= needed | allowed
     assert len(root.findall("groups")) == 1
 
@@ -109,14 +115,33 @@ def test_every_key_and_velocity_has_the_gains_of_the_sfz(root, folders):
 
 
 def test_dampers_are_releases_and_the_treble_rings_on(root):
-    for sample in (sample for group in strokes(root) for sample in group):
+    for group in strokes(root):
+        (sample,) = group
         midi = int(sample.attrib["rootNote"])
         rate = PIANO.dampers.rates(midi, np.array([hertz_of(midi)]))[0]
         if rate:
-            assert float(sample.attrib["release"]) == pytest.approx(np.log(1000) / rate, rel=1e-3)
+            assert float(group.attrib["release"]) == pytest.approx(np.log(1000) / rate, rel=1e-3)
         else:
             assert sample.attrib["ampEnvEnabled"] == "false"
-            assert "release" not in sample.attrib
+            assert "release" not in group.attrib
+
+
+def test_knobs_change_nothing_as_loaded(root):
+    """A linear binding maps the range of its knob to its output; the table of the tone ends at the open filter."""
+    knobs = {knob.attrib["label"]: knob for knob in root.iter("labeled-knob")}
+    groups = root.findall("groups/group")
+    low, high, value = (float(knobs["Release"].attrib[name]) for name in ("minValue", "maxValue", "value"))
+    bound = {}
+    for binding in knobs["Release"]:
+        ends = [float(binding.attrib[f"translationOutput{end}"]) for end in ("Min", "Max")]
+        bound[int(binding.attrib["groupIndex"])] = ends[0] + (value - low) / (high - low) * (ends[1] - ends[0])
+    released = {i: float(group.attrib["release"]) for i, group in enumerate(groups) if "release" in group.attrib}
+    assert bound == pytest.approx(released, abs=2e-4)
+    assert float(knobs["Attack"].attrib["value"]) == 0
+    (tone,) = knobs["Tone"]
+    last = tone.attrib["translationTable"].split(";")[-1].split(",")
+    assert [float(x) for x in last] == [float(knobs["Tone"].attrib["value"]), 22_000]
+    assert root.findall("effects/effect")[0].attrib["frequency"] == "22000"
 
 
 def test_groups_are_chosen_by_the_pedals(root):
@@ -155,7 +180,7 @@ def test_layers_are_blended_as_the_format_can(tmp_path):
     root = ElementTree.parse(tmp_path / "plain" / "twin.dspreset").getroot()  # noqa: S314
     velocities = [range(int(group[0].attrib["loVel"]), int(group[0].attrib["hiVel"]) + 1) for group in strokes(root)]
     assert [v for own in velocities for v in own] == list(range(1, 128))
-    assert not list(root.iter("binding"))
+    assert not root.findall("modulators/midiVelocity/binding")
     for blend, layers, name in (("xfade", 3, "blend"), ("plain", 1, "layers"), ("none", 3, "blend")):
         with pytest.raises(ParameterError, match=name):
             export_sampler(PIANO, tmp_path / "x", [60], ExportOptions(layers, blend=blend), to="decent-sampler")
@@ -176,7 +201,7 @@ def player(tmp_path_factory) -> Callable[..., np.ndarray]:
     export_sampler(PIANO, out, PLAYED, options, to="decent-sampler")
     tree = ElementTree.parse(out / "twin.dspreset").getroot()  # noqa: S314
     tables = {}
-    for binding in tree.iter("binding"):
+    for binding in tree.findall("modulators/midiVelocity/binding"):
         points = [pair.split(",") for pair in binding.attrib["translationTable"].split(";")]
         tables[int(binding.attrib["groupIndex"])] = np.array(points, float).T
     groups = strokes(tree)
@@ -197,7 +222,7 @@ def player(tmp_path_factory) -> Callable[..., np.ndarray]:
                 place = t * rate * 2 ** ((key - int(attributes["rootNote"])) / 12)
                 sampled = np.interp(place, np.arange(len(data)), data, right=0.0)
                 if attributes.get("ampEnvEnabled") != "false":  # 60 dB in the time of the release
-                    sampled *= 10 ** (-3 * np.maximum(t - held, 0) / float(attributes["release"]))
+                    sampled *= 10 ** (-3 * np.maximum(t - held, 0) / float(group.attrib["release"]))
                 sound += np.interp(velocity / 127, *tables[i]) * sampled
         return sound
 

@@ -221,7 +221,8 @@ def test_what_goes_wrong_leaves_nothing_behind(tmp_path):
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"layers": 0}, "layers=0 must be from 1 to 127"), ({"layers": 128}, "layers=128"),
-    ({"rate": 10}, "rate=10 Hz"), ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
+    ({"rate": 10}, "rate=10 Hz"),
+    ({"peak_db": 1.0}, "peak_db=1.0"), ({"trim_db": 5.0}, "trim_db=5.0"), ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
     ({"kind": "mp3"}, "samples='mp3'"), ({"keys": [20]}, "key 20"),
     ({"keys": list(range(21, 109)), "layers": 100}, "more than 40,000 s"),
 ])  # fmt: skip
@@ -322,3 +323,16 @@ def test_few_layers_are_raised_in_their_samples_not_by_the_player():
     assert soft.sample_gain > 10
     assert loud.sample_gain == 1
     assert soft.gain.max() == loud.gain.max() == 1
+
+
+def test_peak_and_trim_are_as_asked(tmp_path):
+    """The loudest sample has the peak, and a sample ends where it is so far below its own peak."""
+    lengths = {}
+    for trim in (40.0, 80.0):
+        options = ExportOptions(layers=2, seconds=8.0, resonance=False, peak_db=-9.0, trim_db=trim)
+        export_sampler(true_instrument(), tmp_path / f"{trim:g}", [100], options)
+        sounds = [soundfile.read(file)[0] for file in sorted((tmp_path / f"{trim:g}" / "samples").iterdir())]
+        peaks = [20 * np.log10(np.abs(sound).max()) for sound in sounds]
+        assert max(peaks) == pytest.approx(-9.0, abs=0.01)
+        lengths[trim] = [len(sound) for sound in sounds]
+    assert all(short < long for short, long in zip(lengths[40.0], lengths[80.0], strict=True))

@@ -25,6 +25,8 @@ OPTION_NAMES = {
     "kind": "--samples",
     "blend": "--velocity-blend",
     "una_corda": "--una-corda",
+    "peak_db": "--peak",
+    "trim_db": "--trim",
 }
 # Formats that are one file, and the ending of its name.
 ENDINGS = {"faust": ".dsp", "modal-json": ".json"}
@@ -52,6 +54,8 @@ def export(
     ] = None,
     samples: Annotated[str | None, text("flac|wav", "Format of the samples, 24 bit. Default: by --format.")] = None,
     seconds: Annotated[float | None, real("S", "Longest sample in seconds; default 8.")] = None,
+    peak: Annotated[float | None, real("DB", "Peak of the loudest sample, dB re full scale; default -1.")] = None,
+    trim: Annotated[float | None, real("DB", "A sample ends this far below its peak, dB; default 110.")] = None,
     rate: Annotated[int | None, integer("HZ", "Sample rate of a sampler in Hz; default 48000.", "--rate")] = None,
     fill: Annotated[
         bool, typer.Option(help="Sample additional keys, so that no key between the chosen ones is silent.")
@@ -68,6 +72,7 @@ def export(
     from ..model.program_cache import enable_program_cache
 
     options = {"layers": velocity_layers, "seconds": seconds, "rate": rate, "kind": samples}
+    options |= {"peak_db": peak, "trim_db": trim}
     options |= {"blend": velocity_blend, "resonance": resonance, "una_corda": una_corda}
     given = {name: value for name, value in options.items() if value is not None}
     if to not in (*SAMPLERS, *ENDINGS):

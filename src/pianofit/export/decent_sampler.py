@@ -6,6 +6,9 @@ A sample has one release time, so the slope of a damper over frequency is lost. 
 documented. Groups are chosen by a pedal at the stroke (`loCC67`, `loCC64`), so a pedal that
 is pressed later adds no resonance. A release group (`trigger`) plays the noise of a key that is let go. Release
 velocity is not documented, and `releaseTriggerDecay` can only reduce a level with the sounding time.
+
+Three knobs on screen change the sound: attack, release and tone. As loaded they change nothing. The release of a group
+is that of its damper times the value of its knob.
 """
 
 from __future__ import annotations
@@ -20,6 +23,12 @@ from .layers import LOUDEST, Sample, SampledKey, SamplerContent, Zone
 
 # The first version that documents velocity as a modulator.
 VERSION = "1.15.0"
+# Size of the window, and place and width of the first knob and of the next ones, pixels.
+WINDOW, KNOB, KNOB_STEP = (812, 375), (180, 130, 110), 170
+# Largest attack, s, and smallest and largest release relative to that of the damper.
+LONGEST_ATTACK, RELEASES = 2.0, (0.25, 4.0)
+# Cutoff of the low-pass filter over the knob of the tone, Hz: two octaves each quarter. At its end it passes all.
+TONES = ((0.0, 340.0), (0.25, 960.0), (0.5, 2_700.0), (0.75, 7_700.0), (1.0, 22_000.0))
 
 
 class _Group(NamedTuple):
@@ -35,11 +44,17 @@ def dspreset_text(content: SamplerContent) -> str:
     """Return the text of a preset."""
     root = ElementTree.Element("DecentSampler", minVersion=VERSION)
     root.append(ElementTree.Comment(f" {content.title}: strings and hammers, computed by pianofit "))
+    knobs = _add_knobs(root)
     groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
     modulators = ElementTree.SubElement(root, "modulators")
     velocity = ElementTree.SubElement(modulators, "midiVelocity", scope="voice", modAmount="1.0")
     for i, group in enumerate(group for key in content.keys for group in _groups(key, content.blend)):
         _add_group(groups, group)
+        if group.key.damper:
+            low, high = (f"{x * _release(group.key):.4f}" for x in RELEASES)
+            binding = {"type": "amp", "level": "group", "groupIndex": str(i), "parameter": "ENV_RELEASE"}
+            binding |= {"translation": "linear", "translationOutputMin": low, "translationOutputMax": high}
+            ElementTree.SubElement(knobs["Release"], "binding", binding)
         if group.table:
             binding = {"type": "amp", "level": "group", "groupIndex": str(i), "parameter": "AMP_VOLUME"}
             binding |= {"modBehavior": "set", "translation": "table", "translationTable": _table(group.sample.zone)}
@@ -72,8 +87,39 @@ def _add_group(groups: ElementTree.Element, group: _Group) -> None:
     attributes |= {"loVel": zone.low, "hiVel": zone.high}
     # The damper is the release; without a damper the note rings on. The format does not define the fall of an envelope
     # during the release; 60 dB is usual.
-    attributes |= {"release": f"{T60_NEPERS / key.damper:.4f}"} if key.damper else {"ampEnvEnabled": "false"}
+    if key.damper:
+        element.set("release", f"{_release(key):.4f}")  # of the group, which its knob can change
+    else:
+        attributes |= {"ampEnvEnabled": "false"}
     ElementTree.SubElement(element, "sample", {name: str(value) for name, value in attributes.items()})
+
+
+def _release(key: SampledKey) -> float:
+    """Time in which the damper of a key lowers the sound by 60 dB, s."""
+    return T60_NEPERS / key.damper
+
+
+def _add_knobs(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """Add the window with its knobs, by label, and the filter of the tone."""
+    width, height = map(str, WINDOW)
+    tab = ElementTree.SubElement(ElementTree.SubElement(root, "ui", width=width, height=height), "tab", name="main")
+    ranges = {"Attack": (0.0, LONGEST_ATTACK, 0.0), "Release": (*RELEASES, 1.0), "Tone": (0.0, 1.0, 1.0)}
+    knobs, (x, y, size) = {}, KNOB
+    for i, (label, (low, high, value)) in enumerate(ranges.items()):
+        place = {"x": x + i * KNOB_STEP, "y": y, "width": size, "textSize": 18}
+        values = {"label": label, "type": "float", "minValue": low, "maxValue": high, "value": value}
+        attributes = {
+            name: f"{given:g}" if isinstance(given, float) else str(given) for name, given in (place | values).items()
+        }
+        knobs[label] = ElementTree.SubElement(tab, "labeled-knob", attributes)
+    attack = {"type": "amp", "level": "instrument", "position": "0", "parameter": "ENV_ATTACK"}
+    ElementTree.SubElement(knobs["Attack"], "binding", attack)
+    tone = {"type": "effect", "level": "instrument", "position": "0", "parameter": "FX_FILTER_FREQUENCY"}
+    table = ";".join(f"{at:g},{hz:g}" for at, hz in TONES)
+    ElementTree.SubElement(knobs["Tone"], "binding", tone | {"translation": "table", "translationTable": table})
+    effects = ElementTree.SubElement(root, "effects")
+    ElementTree.SubElement(effects, "effect", type="lowpass", frequency=f"{TONES[-1][1]:g}")
+    return knobs
 
 
 def _add_releases(groups: ElementTree.Element, content: SamplerContent) -> None:

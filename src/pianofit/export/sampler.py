@@ -36,7 +36,7 @@ from .layers import (
     layer_velocities,
     silent_keys,
 )
-from .samples import KeySamples, measure_layers, render_resonance_sample, render_sample
+from .samples import SILENT_DB, KeySamples, Length, measure_layers, render_resonance_sample, render_sample
 
 # Audio formats of samples.
 KINDS = ("flac", "wav")
@@ -44,6 +44,7 @@ README = "README.txt"
 # File names of samples: key, note, and velocity or kind.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-(v\d{3}(-soft)?|resonance|release)\.(flac|wav)")
 HIGHEST_RATE = 192_000  # Hz, limit of most samplers
+PEAK_LIMIT_DB = 20 * math.log10(PEAK_LIMIT)
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together, about 5 GB
 # Share of the measurement of levels in the progress of an export.
 LEVELS_SHARE = 0.5
@@ -72,6 +73,13 @@ class ExportOptions(NamedTuple):
     blend: str = "curves"  # of layers over velocity: curves, xfade or plain
     resonance: bool = True  # a sample of the free strings for each key
     una_corda: bool = False  # layers with the left pedal down
+    peak_db: float = PEAK_LIMIT_DB  # of the loudest sample, dB re full scale
+    trim_db: float = SILENT_DB  # a sample ends this far below its peak, dB
+
+    @property
+    def length(self) -> Length:
+        """Where samples end."""
+        return Length(self.seconds, self.trim_db)
 
 
 @one_blas_thread()
@@ -162,6 +170,8 @@ def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions, 
         )
     check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
     check_range("seconds=", options.seconds, 0.1, 120)
+    check_range("peak_db=", options.peak_db, -60.0, 0.0, " dB")
+    check_range("trim_db=", options.trim_db, 20.0, 200.0, " dB")
     if options.kind not in KINDS:
         raise ParameterError(f"samples={options.kind!r} must be one of {', '.join(KINDS)}")
     samples = options.layers * (1 + options.una_corda) + options.resonance
@@ -236,7 +246,7 @@ def _write_samples(
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
     noises = [] if instrument.release is None else [*_noises(instrument.release, options.rate).values()]
     peak = max([key.peak for pair in measured for key in pair] + [float(np.abs(x).max(initial=0.0)) for x in noises])
-    writer = _Writer(work, PEAK_LIMIT / peak if peak > 0 else 1.0, options)
+    writer = _Writer(work, 10 ** (options.peak_db / 20) / peak if peak > 0 else 1.0, options)
     sampled_keys = []
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
         sampled_keys.append(_write_key(instrument, writer, key, span, pair))
@@ -280,7 +290,7 @@ def _write_strokes(
     """Write the layers of a key at a position of the left pedal, 0 or 1."""
     samples = []
     for zone, begin in zip(layers.zones, layers.begin, strict=True):
-        sound = render_sample(instrument, string, zone.velocity, begin, writer.options.seconds, soft)
+        sound = render_sample(instrument, string, zone.velocity, begin, writer.options.length, soft)
         ending = f"v{zone.velocity:03}" + ("-soft" if soft else "")
         samples.append(Sample(zone, writer.write(string.midi, ending, zone.sample_gain * sound)))
     return samples
@@ -289,7 +299,7 @@ def _write_strokes(
 def _write_resonance(instrument: Instrument, writer: _Writer, string: StringVoice, layers: KeySamples) -> Sample | None:
     """Write what free strings add to the middle layer of a key, or nothing if they are silent."""
     zone, begin = layers.whole, layers.begin[len(layers.begin) // 2]
-    sound = render_resonance_sample(instrument, string, zone.velocity, begin, writer.options.seconds)
+    sound = render_resonance_sample(instrument, string, zone.velocity, begin, writer.options.length)
     if not np.abs(sound).max(initial=0.0) > 0:
         return None
     return Sample(zone, writer.write(string.midi, "resonance", zone.sample_gain * sound))

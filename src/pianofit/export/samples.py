@@ -19,7 +19,8 @@ from ..playback.resonance import Stroke, hop_count, render_resonance
 from ..playback.voice import CHANNELS, StringVoice
 from .layers import LOUDEST, SOFTEST, Zone, blend_layers, crossfade_layers, layer_velocities
 
-# A sample ends this far below its peak, dB, or after the requested time. The fade is this fraction of its length.
+# By default a sample ends this far below its peak, dB, or after the requested time. The fade is this fraction of its
+# length.
 SILENT_DB = 110.0
 FADE = 0.05
 # A sample begins just before it first reaches this level below its peak, dB: dispersion makes high partials arrive
@@ -35,6 +36,13 @@ LEVELS = 22
 # Largest shift of a stroke against the next louder one, s: a softer stroke has a longer contact, and the centre of its
 # force comes later. Neighbouring layers need at most 0.4 ms.
 LARGEST_SHIFT = 1e-3
+
+
+class Length(NamedTuple):
+    """Where a sample ends."""
+
+    seconds: float  # at the latest, s
+    silent_db: float  # below its peak, dB
 
 
 class KeySamples(NamedTuple):
@@ -72,24 +80,24 @@ def measure_layers(
 
 
 def render_sample(
-    instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float, soft: float
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, length: Length, soft: float
 ) -> np.ndarray:
     """A stroke [channels, samples] from sample `begin` on, with a fade-out."""
-    sound = render_stroke(instrument, string, velocity, seconds + max(begin, 0) / string.rate, soft)
-    return _cut(sound, begin, seconds, string.rate)
+    sound = render_stroke(instrument, string, velocity, length.seconds + max(begin, 0) / string.rate, soft)
+    return _cut(sound, begin, length, string.rate)
 
 
 def render_resonance_sample(
-    instrument: Instrument, string: StringVoice, velocity: int, begin: int, seconds: float
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, length: Length
 ) -> np.ndarray:
     """Sound that free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
     string.reset()
     head = string.strike(instrument.note(string.midi, velocity).hammer.v_H0)
     stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)
-    samples = round(seconds * string.rate) + max(begin, 0)
+    samples = round(length.seconds * string.rate) + max(begin, 0)
     lifted = np.zeros((len(instrument.keys), hop_count(samples, string.rate)))
     sound = render_resonance(instrument, [stroke], lifted, string.rate, samples)[:CHANNELS]
-    return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, seconds, string.rate)
+    return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, length, string.rate)
 
 
 def render_stroke(
@@ -125,15 +133,15 @@ def _align(layers: Sequence[np.ndarray], farthest: int) -> tuple[list[int], list
     return shifts[::-1], correlation[::-1]
 
 
-def _cut(sound: np.ndarray, begin: int, seconds: float, rate: int) -> np.ndarray:
+def _cut(sound: np.ndarray, begin: int, length: Length, rate: int) -> np.ndarray:
     """A sound [channels, samples] from sample `begin` on, with a fade-out."""
     sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))
-    return _fade_out(sound[:, : round(seconds * rate)], rate)
+    return _fade_out(sound[:, : round(length.seconds * rate)], rate, length.silent_db)
 
 
-def _fade_out(sound: np.ndarray, rate: int) -> np.ndarray:
+def _fade_out(sound: np.ndarray, rate: int, silent_db: float) -> np.ndarray:
     """Cut a sound at the beginning of silence and fade it out."""
-    loud = np.flatnonzero(_above(sound, SILENT_DB))
+    loud = np.flatnonzero(_above(sound, silent_db))
     sound = sound[:, : max(int(loud[-1]) + 1 if loud.size else 1, rate // 20)].copy()
     fade = max(int(FADE * sound.shape[-1]), 2)
     sound[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))

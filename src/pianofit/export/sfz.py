@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from ..analysis.note_names import midi_to_note
+from ..conversions import T60_NEPERS
 from ..playback.midi import SWITCH
 from ..playback.pedals import PedalRange
 from .layers import LOUDEST, Sample, SampledKey, SamplerContent, Zone
@@ -38,6 +40,10 @@ def _head(content: SamplerContent) -> Iterator[str]:
     yield f"// {content.title}: strings and hammers, computed by pianofit"
     yield "// The damper of a key acts on all partials alike, because the format has one release time."
     yield "// Half pedal needs a player with ampeg_dynamic, such as sfizz. In others the right pedal is a switch."
+    yield "// A group is one sampled key, pitch_keycenter. It plays the keys from lokey to hikey."
+    yield "// A region is one layer, or the free strings. Its gain follows the velocity."
+    pedals = {64: "right pedal", 66: "middle pedal"} | ({67: "left pedal"} if content.keys[0].soft else {})
+    yield f"<control> {' '.join(f'label_cc{number}={name}' for number, name in pedals.items())}"
     contact = _contacts()
     least = _least_contact(content)
     times = [(1 / max(c, least) - 1) / (1 / least - 1) for c in contact]
@@ -74,7 +80,8 @@ def _points(points: Iterable[tuple[int, float]]) -> str:
 def _releases(content: SamplerContent) -> Iterator[str]:
     if not content.releases:
         return
-    yield "<group> trigger=release_key pitch_keytrack=0 amp_veltrack=0"
+    yield "// keys that are let go"
+    yield "<group> group_label=release trigger=release_key pitch_keytrack=0 amp_veltrack=0"
     for release in content.releases:
         yield f"<region> key={release.midi} sample={release.file} volume={release.gain_db:.2f}"
 
@@ -85,7 +92,12 @@ def _key(key: SampledKey, content: SamplerContent) -> Iterator[str]:
         shortest = RELEASED / key.damper
         longer = shortest / _least_contact(content) - shortest
         end = f"ampeg_release={shortest:.4f} ampeg_release_oncc64={longer:.4f} ampeg_release_curvecc64={PEDAL_CURVE}"
-    yield f"<group> lokey={key.low} hikey={key.high} pitch_keycenter={key.midi} {end}"
+    span = midi_to_note(key.low) + (f" to {midi_to_note(key.high)}" if key.high > key.low else "")
+    velocities = ", ".join(str(sample.zone.velocity) for sample in key.strokes)
+    damper = f"the damper takes {T60_NEPERS / key.damper:.2f} s for 60 dB" if key.damper else "no damper"
+    yield f"// {midi_to_note(key.midi)}: plays {span}; layers struck at {velocities}; {damper}"
+    label = midi_to_note(key.midi).replace("#", "s")  # SFZ reads "#" as the start of a directive
+    yield f"<group> group_label={label} lokey={key.low} hikey={key.high} pitch_keycenter={key.midi} {end}"
     for sample in key.strokes:
         yield _stroke(sample, content.blend) + (f" hicc67={SWITCH - 1}" if key.soft else "")
     for sample in key.soft:
@@ -93,13 +105,14 @@ def _key(key: SampledKey, content: SamplerContent) -> Iterator[str]:
     if key.resonance:
         low, high = PedalRange()
         gate = f"xfin_locc64={low:g} xfin_hicc64={high:g}"
-        yield f"<region> sample={key.resonance.file} {gate} amp_veltrack=100 {_curve(key.resonance.zone)}"
+        gain = f"{gate} amp_veltrack=100 {_curve(key.resonance.zone)}"
+        yield f"<region> region_label=resonance sample={key.resonance.file} {gain}"
 
 
 def _stroke(sample: Sample, blend: str) -> str:
     """Region of one layer of a key."""
     zone = sample.zone
-    text = f"<region> lovel={zone.low} hivel={zone.high} sample={sample.file}"
+    text = f"<region> region_label=v{zone.velocity} lovel={zone.low} hivel={zone.high} sample={sample.file}"
     if blend == "curves":
         return f"{text} {_curve(zone)}"
     if blend == "xfade" and zone.low < zone.velocity:
