@@ -16,9 +16,8 @@ from pianofit.inference import FitProblem, InferenceResult, Posterior, build_pro
 from pianofit.inference.batched_model import LevelModel
 from pianofit.inference.estimate import fit_string, refine_minima
 from pianofit.inference.laplace import laplace
+from pianofit.excitation.hammer import FINE_VELOCITIES, VELOCITIES
 from pianofit.inference.multistart import (
-    FINE_VELOCITIES,
-    VELOCITIES,
     deduplicate,
     initial_hyperparameters,
     multistart,

@@ -22,7 +22,8 @@ from .model.note import MAX_SECONDS, check_render
 from .model.simulate import MAX_STEPS
 from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
-from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, Measured, RecordingInfo, Setup
+from .setup import RANGES, SETUP_KEYS, Measured, RecordingInfo, Setup
+from .transducer import ON_STRING, TRANSDUCERS
 
 # s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
@@ -188,8 +189,8 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
         strike_position=strike,
         strike_width=width,
         pickup_quantity=quantity,
-        pickup_position=pickup if quantity in STRING_PICKUPS else None,
-        pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
+        pickup_position=pickup if quantity in ON_STRING else None,
+        pickup_scale=None if TRANSDUCERS[quantity].unknown_path else scale,  # an unknown output path has no scale
         recordings=(RecordingInfo(file=name),),
         felt=law.name if law.hammers is not None else law,
     )

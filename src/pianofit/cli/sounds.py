@@ -11,14 +11,12 @@ from ..errors import ParameterError
 from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
-from ..setup import STRING_PICKUPS
+from ..transducer import ON_STRING, TRANSDUCERS
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, real, text
 
 if TYPE_CHECKING:
     from ..literature import Preset
 
-# Units of the recorded quantities. The model represents pressure by the force on the bridge.
-UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
 
 
 def simulate(
@@ -75,7 +73,7 @@ def simulate(
     largest = float(recording.simulation.pulse.force.max())
     typer.echo(
         f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
-        f"full scale {recording.scale:.4g} {UNITS[quantity]}"
+        f"full scale {recording.scale:.4g} {TRANSDUCERS[quantity].unit}"
     )
 
 
@@ -109,9 +107,9 @@ def _apply_changes(preset: Preset, change: list[str], velocity: float | None) ->
 
 def _apply_positions(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
     """Replace strike and pickup position in a geometry."""
-    if pickup is not None and quantity not in STRING_PICKUPS:
+    if pickup is not None and quantity not in ON_STRING:
         raise ParameterError(
-            f"pickup={pickup:g} m: a {quantity} pickup has no position; choose velocity or displacement"
+            f"pickup={pickup:g} m: a {quantity} pickup has no position; choose {' or '.join(ON_STRING)}"
         )
     given = {"strike_position": strike, "pickup": pickup}
     return geometry._replace(**{name: value for name, value in given.items() if value is not None})

@@ -26,18 +26,10 @@ from .problem import FitProblem, brightness
 
 # Samples of the prior's hammers: a power of two, as Sobol points require.
 SAMPLES = 1024
-# Velocities of each sample, m/s: neighbours differ by 30 %, which a minimisation bridges.
-VELOCITIES = np.geomspace(0.15, 8.0, 16)
-# Velocities of one hammer, m/s: 1.6 % apart, closer than the lobes of a treble force's spectrum.
-FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
 # Probability at each end of a prior that is not sampled.
 TAIL = 0.01
 # Initial σ, the excess of levels, dB; A, ℓ and η start at their priors.
 WIDE_EXCESS = 2.0
-# Initial velocities, from the brightest stroke down, m/s: a forte,
-FASTEST = 4.0
-# and the factor from stroke to stroke, for layers far apart and for layers close together.
-FACTORS = (0.5, 0.75)
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
@@ -89,26 +81,28 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     # Before a hammer is known, it is open whether recordings share a gain: each answer has its own hammers.
     surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
     fixed = [objective.with_surrogate(surrogate) for surrogate in surrogates]
+    values, geometry = objective.problem.initial_values.law.stroke, objective.problem.initial_values.geometry
+    coarse, fine = values.coarse(geometry), values.fine(geometry)
 
     def minimised(starts: Sequence[np.ndarray]) -> Candidates:
         """Minimise the candidates [S, size] of every surrogate on that surrogate, and join them."""
         ends = [minimise(f, f.start(x, [phi]), Options(FIRST_STEPS)) for f, x in zip(fixed, starts, strict=True)]
         return functools.reduce(Candidates.join, ends)
 
-    samples = rank_hammers(objective, sobol_samples(objective, seed), VELOCITIES, surrogates)
+    samples = rank_hammers(objective, sobol_samples(objective, seed), coarse, surrogates)
     candidates = minimised([np.concatenate([first[None], theta[:FIRST]]) for theta in samples])
     if not len(candidates):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
     survivors = _survivors(objective, candidates).theta
-    candidates = candidates.join(minimised(rank_hammers(objective, survivors, FINE_VELOCITIES, surrogates)))
+    candidates = candidates.join(minimised(rank_hammers(objective, survivors, fine, surrogates)))
     progress("hammer", 0.4)
     above_floor = Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
     candidates = _continued(objective, _survivors(objective, candidates), above_floor)
     progress("hammer", 0.5)
     candidates = _continued(objective, _survivors(objective, candidates, NEAR), Options(LAST_STEPS))
     progress("restarts", 0.6)
-    kinds = _kinds_of_restart(objective, np.random.default_rng(seed))
+    kinds = _kinds_of_restart(objective, np.random.default_rng(seed), fine)
     for _ in range(ROUNDS):
         before = objective.total(candidates)[0]
         for points, gains in kinds:
@@ -131,12 +125,14 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
     return minimise(objective, objective.start(candidates.theta, candidates.phi, candidates.w, error), options)
 
 
-def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
+def _kinds_of_restart(
+    objective: Objective, random: np.random.Generator, fine: np.ndarray
+) -> list[tuple[Points, int | None]]:
     """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
     u = objective.problem.parametrisation
     # Values and sizes that were given with a standard deviation have no other minima.
     free = objective.free & ~u.given & (np.arange(u.size) < u.velocities.stop)
-    x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
+    nodes = range(len(objective.problem.observed.level.scale))
 
     def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
         """Random points in all parameters, widest along the ridge."""
@@ -148,15 +144,17 @@ def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list
         return u.project(theta)
 
     def rescanned(best: Candidates, surrogate: QuadraticSurrogate) -> np.ndarray:
-        return rank_hammers(objective, best.theta, FINE_VELOCITIES, [surrogate], best.offset[0])[0]
+        return rank_hammers(objective, best.theta, fine, [surrogate], best.offset[0])[0]
 
     def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
         """Other strike positions."""
         theta = np.tile(best.theta, (2 * len(SCAN), 1))
-        theta[:, x0] += np.outer([1, -1], SCAN).ravel()
+        theta[:, u.index_of("x0")] += np.outer([1, -1], SCAN).ravel()
         return u.project(theta)
 
-    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(u.free[x0])]
+    # A scan of a stroke's own position includes the shifts.
+    moves = "x0" in u.names and bool(u.free[u.index_of("x0")])
+    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * moves]
 
 
 def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
@@ -318,5 +316,7 @@ def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
         by_stroke[stroke] = max(by_stroke[stroke], brightness(analysis))
     rank = np.empty(u.strokes)
     rank[np.argsort(-by_stroke)] = np.arange(u.strokes)
-    log_velocities = [np.where(measured, mean, np.log(FASTEST * factor**rank)) for factor in FACTORS]
+    start = problem.initial_values
+    given = start.law.stroke.starts(start.geometry, rank)
+    log_velocities = [np.where(measured, mean, np.log(values)) for values in given]
     return [np.abs(grid - start[:, None]).argmin(axis=1) for start in log_velocities]

@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from ..conversions import HALF_WIDTH_95
 from ..errors import ParameterError
-from ..felt import FeltLaw
+from ..excitation import Excitation
 from ..io.table_output import require_optional
 from ..x64 import float64, x64_scope
 from .batched_model import (
@@ -269,7 +269,7 @@ def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
     return root
 
 
-def reflect_into_bounds(at: DensityContext, whitened, law: FeltLaw):
+def reflect_into_bounds(at: DensityContext, whitened, law: Excitation):
     """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
     free = (at.root != 0).any(axis=1)
     theta = at.theta + at.root @ whitened

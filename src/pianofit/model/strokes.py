@@ -12,9 +12,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..felt import FeltLaw, law_of
+from ..excitation import Excitation
+from ..felt import law_of
 from ..parameters import Geometry, String
-from .contact import Pulse, strike_until_over
+from .contact import Pulse
+from .excite import excite_until_over
+from .free_motion import FreeMotion
 from .modes import Modes, mode_table
 from .note import Note
 from .program_cache import persistent_jit
@@ -32,7 +35,7 @@ class StrokesConfig(NamedTuple):
     n_modes: int
     steps: int  # stored
     quantity: str
-    law: FeltLaw
+    law: Excitation
 
 
 @persistent_jit
@@ -48,8 +51,8 @@ def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
     def one(string, hammer, geometry):
         table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
         modes = mode_table(String(*string), Geometry(*geometry), **table)
-        pulse, steps = strike_until_over(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, stored=cfg.steps)
-        return (*modes, *pulse, steps)
+        pulse, steps, free = excite_until_over(modes, cfg.law.hammer_type(*hammer), cfg.law, steps=cfg.steps)
+        return (*modes, *pulse, *(free or ()), steps)
 
     return jax.vmap(one)(strings, hammers, geometries)
 
@@ -65,18 +68,20 @@ def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[n
         np.array([[*map(float, getattr(note, part))] for note in notes]) for part in ("string", "hammer", "geometry")
     )
     modes, step = len(first.modes.pole), float(first.modes.step)
-    steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
+    steps = STEPS * max(int(np.ceil(MARGIN * first.last_touch / step / STEPS)), 1)
     return tuple(parts), np.float64(1 / step), StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
 
 
 def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
     """Return every stroke from the result of `strokes`. The pulse of an unfinished contact says so."""
     *arrays, steps = leaves
-    tables, pulses = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
+    tables, rest = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
+    pulses, motions = rest[: len(Pulse._fields)], rest[len(Pulse._fields) :]
 
     def one(i: int) -> Simulation:
         table: Any = (x[i] for x in tables)
         pulse: Any = (x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses)
-        return Simulation(Modes(*table), Pulse(*pulse), None)
+        free = FreeMotion(*(x[i] for x in motions)) if motions else None
+        return Simulation(Modes(*table), Pulse(*pulse), free)
 
     return [one(i) for i in range(len(steps))]
