@@ -30,7 +30,7 @@ def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
 
 def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
     setup = strokes_of(MICROPHONES)
-    entries = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in setup.recordings]
+    entries = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.stroke_value) for t in setup.recordings]
     problem = build_problem(*through(MICROPHONES), replace(setup, recordings=tuple(entries)))
     assert problem.measured_velocity == (None, 1.5, VELOCITIES[2])
     assert not problem.parametrisation.free[-2:].any()
@@ -38,11 +38,11 @@ def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
 
 def test_the_shared_velocity_is_found_and_shown_alike():
     rows = path_fit(MICROPHONES).fit.recordings
-    np.testing.assert_allclose([row.v_H0 for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
+    np.testing.assert_allclose([row.stroke_value for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
     one, other = rows[1], rows[3]
-    for name in ("v_H0", "v_H0_interval", "v_H0_status", "stroke"):
+    for name in ("v_H0", "stroke_interval", "stroke_status", "stroke"):
         assert getattr(one, name) == getattr(other, name)
-    assert one.v_H0_interval[0] < one.v_H0 < one.v_H0_interval[1]
+    assert one.stroke_interval[0] < one.stroke_value < one.stroke_interval[1]
     assert [row.stroke for row in rows].count(one.stroke) == 2
     assert one.path_group != other.path_group
     assert one.levels.fitted_db < 0.2 > other.levels.fitted_db
@@ -80,7 +80,7 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     found = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).fit
     assert found.identifiability_statement.startswith("2 uncalibrated recordings do not determine")
     assert {found.parameters[n].status for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
-    assert found.recordings[0].v_H0 == found.recordings[1].v_H0
+    assert found.recordings[0].stroke_value == found.recordings[1].stroke_value
 
 
 def some_of(result: Result, which: list[int]) -> Result:

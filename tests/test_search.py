@@ -284,7 +284,7 @@ def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
     assert np.exp(one.theta[at]) == pytest.approx(bound, rel=1e-9)
     document = build_result(InferenceResult(bounded, one, 0, None)).fit
     assert document.parameters["v_H0"].status == "at-bound"
-    assert document.recordings[0].v_H0_status == "at-bound"
+    assert document.recordings[0].stroke_status == "at-bound"
     assert any("bound" in said and "v_H0" in said for said in document.warnings)
 
 

@@ -19,6 +19,13 @@ class Transducer(NamedTuple):
     reads_velocity: bool = False  # else displacement, which the force on the bridge follows
     unknown_path: bool = False  # an unknown output path lies between the quantity and the file
     position_is_searched: bool = False  # a fit can find its position
+    # Prior of the roughness of the path, dB, median and spread of its logarithm; None for that of body and room.
+    roughness: tuple[float, float] | None = None
+
+
+# A coil and a cable are smooth over frequency. The plane in which a string moves turns from partial to partial, which
+# changes what a pickup reads by some dB. Chosen, not published.
+ELECTRICAL = (2.0, 0.5)
 
 
 TRANSDUCERS: dict[str, Transducer] = {
@@ -26,7 +33,7 @@ TRANSDUCERS: dict[str, Transducer] = {
     "displacement": Transducer("m", on_string=True),
     "bridge-force": Transducer("N", on_string=False),
     "pressure": Transducer("N", on_string=False, unknown_path=True),
-    "magnetic-pickup": Transducer("m/s", True, reads_velocity=True, unknown_path=True, position_is_searched=True),
+    "magnetic-pickup": Transducer("m/s", True, True, True, position_is_searched=True, roughness=ELECTRICAL),
 }
 QUANTITIES = tuple(TRANSDUCERS)
 ON_STRING = tuple(name for name, transducer in TRANSDUCERS.items() if transducer.on_string)

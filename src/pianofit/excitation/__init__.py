@@ -13,6 +13,8 @@ from .protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter, Words
 # All excitations except the hammer, by their name in files.
 OTHERS: dict[str, Excitation] = {PLUCK.name: PLUCK}
 HAMMER = "hammer"
+# Parameter of a stroke by the name of the excitation.
+STROKES = {HAMMER: VELOCITY_OF_STROKE} | {name: own.stroke for name, own in OTHERS.items()}
 NAMES = (HAMMER, *OTHERS)
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "NAMES",
     "OTHERS",
     "PLUCK",
+    "STROKES",
     "VELOCITY_OF_STROKE",
     "Excitation",
     "Pluck",

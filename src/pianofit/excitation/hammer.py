@@ -25,6 +25,9 @@ NOMINAL = 2.0
 # Gains of recordings through one path: as likely equal, except for variation of single strokes, as normalised one by
 # one. Standard deviations from their mean, dB.
 GAIN_DEVIATION = (1.0, 20.0)
+# Roughness τ of a path, dB, median and spread of its logarithm, from notes recorded at several velocities
+# (benchmarks/path_prior.py).
+PATH = (4.5, 0.4)
 
 
 def _starts(_: Geometry, rank: Any) -> list[Any]:

@@ -49,6 +49,9 @@ COARSE, FINE = 64, 256
 STARTS = 24
 # A player's strokes differ in size by up to 30 dB, in any order. They share nothing about their gain.
 GAIN_DEVIATION = 20.0
+# Roughness of the path, dB: levels in a field of many overlapping modes scatter by 5.57 dB (Schroeder 1954). A small
+# body and a room are two such fields, 5.57 √2. The spread is that of pianos.
+ROUGHNESS = (7.9, 0.4)
 
 
 class Pluck(NamedTuple):
@@ -108,6 +111,7 @@ class PluckLaw(Excitation):
     hammers: Any = Pluck
     has_contact: bool = False
     gain_deviations: tuple[float, ...] = (GAIN_DEVIATION,)
+    roughness: tuple[float, float] = ROUGHNESS
 
     def __repr__(self) -> str:
         return "PluckLaw()"
@@ -124,6 +128,10 @@ class PluckLaw(Excitation):
     def displacement(self, modes: Any, hammer: Pluck) -> Any:
         """Return the static displacement of the modes, m [modes]."""
         return hammer.force * modes.modal_gain / modes.omega2
+
+    def stroke_given(self, velocity: Any, position: Any) -> Any:
+        """Return the given plucking position."""
+        return position
 
     def contact_width(self, length: float) -> float:
         """Return the assumed effective width, m."""

@@ -74,6 +74,8 @@ class Excitation:
     has_contact : True if a hammer touches the sounding string, so that its force is a pulse.
     gain_deviations : prior standard deviations of the gains of strokes through one path, dB. Each is one answer to the
         question of whether the gains are equal.
+    roughness : prior of the differences between partials in a path through the body of such instruments and a room, dB:
+        median, and spread of the logarithm.
     power, base, storage, slow : of felt laws only; see `FeltLaw`.
     """
 
@@ -87,6 +89,7 @@ class Excitation:
     hammers: Any = None
     has_contact: bool = True
     gain_deviations: tuple[float, ...]
+    roughness: tuple[float, float]
     power: tuple[str, str] | None = None
     base: Callable[[Any, Any], Any] | None = None
     storage: Callable[..., Any] | None = None
@@ -134,6 +137,10 @@ class Excitation:
     def ranges(self, geometry: Geometry) -> dict[str, tuple[float, float]]:
         """Return bounds of columns that differ from those of a hammer."""
         return {}
+
+    def stroke_given(self, velocity: Any, position: Any) -> Any:
+        """Return the given value of the parameter of a stroke, of its measured velocity and the given position."""
+        return velocity
 
     def nominal(self, hammer: Any) -> Any:
         """Return a hammer with an ordinary stroke, from which steps and modes are chosen."""

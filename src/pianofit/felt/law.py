@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from ..errors import ParameterError
-from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, VELOCITY_OF_STROKE
+from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, VELOCITY_OF_STROKE
 from ..excitation.protocol import Excitation, StrokeParameter, Words
 from ..parameters import PARAMETERS, Parameter, check
 
@@ -88,6 +88,7 @@ class FeltLaw(Excitation):
     stroke: ClassVar[StrokeParameter] = VELOCITY_OF_STROKE
     words: ClassVar[Words] = HAMMER_WORDS
     gain_deviations: ClassVar[tuple[float, ...]] = GAIN_DEVIATION
+    roughness: ClassVar[tuple[float, float]] = PATH
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):

@@ -11,6 +11,7 @@ from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
 from ..excitation import Excitation
 from ..felt import DEFAULT_LAW
+from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
 
@@ -79,6 +80,7 @@ def observe(
     path: bool,
     gains: bool,
     law: Excitation = DEFAULT_LAW,
+    quantity: str = "pressure",
 ) -> Observations:
     """The tables of recordings of one key.
 
@@ -87,7 +89,7 @@ def observe(
     reference : index of the reference recording.
     unit : the pickup's unit over full scale, dB.
     path, gains : true if the output path is unknown, and if its gain is.
-    law : the excitation. Only a contact has a knock, and strokes of a pluck share nothing about their gain.
+    law, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share nothing about their gain.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
@@ -95,7 +97,8 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    level = _levels(analyses, layout, number, ref, unit, path, law.gain_deviations if gains else None)
+    roughness = TRANSDUCERS[quantity].roughness or law.roughness
+    level = _levels(analyses, layout, number, ref, unit, path, law.gain_deviations if gains else None, roughness)
     if path and law.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
@@ -139,6 +142,7 @@ def _levels(
     unit: float,
     path: bool,
     gains: Sequence[float] | None,
+    roughness: tuple[float, float],
 ) -> ObservationTable:
     tables = [a.partials for a in analyses]
     frequency = law_frequency(ref.f0, ref.B, number)
@@ -151,7 +155,7 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
-    nodes, weight = priors.path_nodes() if path else (np.array([NONE]), np.ones(1))
+    nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
     hyper = priors.LEVEL

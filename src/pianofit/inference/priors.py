@@ -23,7 +23,7 @@ from ..analysis import Analysis, cents_above
 from ..conversions import midi_of
 from ..errors import SetupError
 from ..excitation import GEOMETRY_FIELDS, Excitation
-from ..excitation.hammer import GAIN_DEVIATION as GAIN_DEVIATION
+from ..excitation.hammer import GAIN_DEVIATION, PATH
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW
 from ..felt.hunt_crossley import HAMMER_SD as HAMMER_SD  # keyboard laws remove this prior, and do not import this room
 from ..literature import typical
@@ -47,9 +47,6 @@ ONSET = 1e-3
 ONSET_PERIODS = 0.5
 # Degrees of freedom of Student's t: with 4 a search can discard the fundamental and stay there.
 STUDENT = 10.0
-# Residual standard deviation τ of a path, dB, median and spread, from notes recorded at several velocities
-# (benchmarks/path_prior.py).
-PATH = (4.5, 0.4)
 # Standard deviation of a knock from the force, dB: 1.1 in five treble keys of five pianos, 1.8 in eleven keys of all
 # registers, levelled libraries included (benchmarks/knock_study.py).
 KNOCK_SD = 1.5
@@ -92,10 +89,10 @@ LEAST_DECAY_RATIO = 0.1
 LAW_REACH = 10.0
 
 
-def path_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
+def path_nodes(roughness: tuple[float, float] = PATH) -> tuple[np.ndarray, np.ndarray]:
+    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior of the `roughness`."""
     x, weight = np.polynomial.hermite_e.hermegauss(3)
-    return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
+    return np.log(roughness[0]) + roughness[1] * x, weight / weight.sum()
 
 
 def log_gain(

@@ -161,7 +161,7 @@ def build_problem(
     structure = _structure(entries)
     given: list[float | None] = [None] * structure.strokes
     for stroke, entry in zip(structure.stroke, entries, strict=True):
-        v = velocity if velocity is not None else entry.v_H0
+        v = setup.law.stroke_given(velocity if velocity is not None else entry.v_H0, setup.strike_position)
         given[stroke] = given[stroke] if v is None else v
     measured = [None if v is None else float(v) for v in given]
     # The fastest recording with a measured velocity, or else the brightest.
@@ -175,7 +175,7 @@ def build_problem(
         given[stroke] = setup.fixed["v_H0"]
         measured[stroke] = float(setup.fixed["v_H0"])
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law)
+    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law, start.quantity)
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
     if setup.prior is not None:
         scale_free = start.scale is None and all(v is None for v in given)

@@ -31,7 +31,7 @@ def draw_recordings(fit: Fit) -> list[Figure]:
     """Draw the levels of the partials, a panel for each recording from soft to loud, with one scale; [] for one."""
     if len(fit.recordings) == 1:
         return []
-    rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].v_H0)
+    rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].stroke_value)
     figures = [make_figure(_draw_recording, *row, height=0.75 * HEIGHT) for row in rows]
     panels = [figure.axes[0] for figure in figures]
     low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
@@ -45,7 +45,7 @@ def _draw_recording(axes: Axes, place: int, row: RecordingFit) -> None:
     levels = row.partials
     axes.plot(levels.number, levels.fitted, marker="o", ms=2.6, label="fitted", **LINES["fitted"])
     points(axes, levels.number, levels.measured, levels.error)
-    axes.set_title(f"recording {place}: {row.v_H0:.3g} m/s, error {row.levels.fitted_db:.1f} dB")
+    axes.set_title(f"recording {place}: {row.stroke_value:.3g} m/s, error {row.levels.fitted_db:.1f} dB")
     axes.set(ylabel="level (dB)", xlabel="partial number k")
 
 
@@ -83,5 +83,5 @@ def _draw_left_out(axes: Axes, recordings: Sequence[LeftOutRecording]) -> None:
         axes.plot(places, errors[name], ls="none", mew=1.6, label=label, zorder=3, **style)
     top = span(*errors.values())[1]
     axes.set(ylim=(0.0, 1.12 * max(top, 0.1)), xlim=(-0.5, len(recordings) - 0.5), ylabel="error of the levels (dB)")
-    axes.set_xticks(places, [f"{row.v_H0:.3g} m/s" for row in recordings], color=INK)
+    axes.set_xticks(places, [f"{row.stroke_value:.3g} m/s" for row in recordings], color=INK)
     axes.tick_params(axis="x", labelrotation=30 if len(recordings) > MOST_UPRIGHT else 0)

@@ -99,7 +99,7 @@ def _velocities(fit: Fit) -> list[str]:
         intervals = [(q.status, q.interval) for q in ratios]
     else:
         noun = "Hammer velocities"
-        intervals = [(row.v_H0_status, row.v_H0_interval) for row in fit.recordings if len(fit.recordings) > 1]
+        intervals = [(row.stroke_status, row.stroke_interval) for row in fit.recordings if len(fit.recordings) > 1]
     halves = [log_half_width(interval) for status, interval in intervals if status != "not-identifiable"]
     widths = [half for half in halves if half is not None]
     return [f"{noun} (the least certain {format_relative_uncertainty(max(widths))})."] if widths else []

@@ -146,7 +146,7 @@ def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
     sounds are means of the channels and begin `pre_onset_s` before the contact. Velocities that cannot be rendered are
     left out.
     """
-    velocities = [row.v_H0 for row in result.fit.recordings]
+    velocities = [row.stroke_value for row in result.fit.recordings]
     low, high = min(velocities), max(velocities)
     is_recorded_range = high / low > SMALLEST_RANGE
     if not is_recorded_range:

@@ -105,7 +105,7 @@ def minima(fit: Fit) -> tuple[list[tuple[str, str]], list[tuple[str, str, list[s
             "< 1 %" if minimum.weight < 0.005 else f"{100 * minimum.weight:.0f} %",
             number(minimum.negative_log_posterior - lowest, 2),
             [number(minimum.parameters.get(name), 4) for name in names],
-            ", ".join(number(velocity, 3) for velocity in minimum.velocities.tolist()),
+            ", ".join(number(velocity, 3) for velocity in minimum.stroke_values.tolist()),
         )
         for minimum in fit.minima
     ]
