@@ -221,7 +221,8 @@ def example_content() -> dict[str, Any]:
         },
         "recordings": [{
             "file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "channel": "left", "rate": 44100, "onset_s": ONSET_S,
-            "v_H0": 4.0, "stroke_interval": [1.6, 10.0], "stroke_status": "scaled", "stroke_initial": 4.0, "note": None,
+            "stroke_value": 4.0, "stroke_interval": [1.6, 10.0], "stroke_status": "scaled", "stroke_initial": 4.0,
+            "note": None,
             "gain": 0.0123, "gain_status": "fitted", "is_reference": True, "pitch_offset_cents": 0.0, "path_group": 0,
             "stroke": 0, "criterion": criterion, "levels": levels, "partials": levels_content(),
         }],
@@ -252,7 +253,7 @@ def content_of_recordings(count=3, velocities=(3.2, 0.6, 1.5)) -> dict[str, Any]
     velocities = [*velocities, *(4.0 + i for i in range(count))][:count]
     content["recordings"] = [
         template | {
-            "file": f"/a folder/recording-{i}.flac", "v_H0": v, "stroke_interval": [0.9 * v, 1.1 * v],
+            "file": f"/a folder/recording-{i}.flac", "stroke_value": v, "stroke_interval": [0.9 * v, 1.1 * v],
             "is_reference": i == 1, "pitch_offset_cents": -0.5 * i, "path_group": i % 2, "stroke": i - 1,
             "levels": template["levels"] | {"initial_db": 9.0, "fitted_db": 1.0 + 0.1 * i},
             "partials": levels_content(offset=-3.0 * i),
@@ -282,7 +283,7 @@ def minimum(weight, above):
     parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
     return {
         "weight": weight, "negative_log_posterior": -120.5 + above, "parameters": parameters,
-        "velocities": [4.0, 2.0, 4 / 3], "path_db": None, "path_velocity_discrepancy": None,
+        "stroke_values": [4.0, 2.0, 4 / 3], "path_db": None, "path_velocity_discrepancy": None,
     }  # fmt: skip
 
 

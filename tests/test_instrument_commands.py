@@ -205,7 +205,7 @@ def test_a_hostile_fit_is_refused(tmp_path):
     ):
         with pytest.raises(FitError, match=message):
             load_keys([write_fit(tmp_path, 60, good | change)])
-    for entry, value in (("velocities", []), ("velocities", [-1.0]), ("parameters", {})):
+    for entry, value in (("stroke_values", []), ("stroke_values", [-1.0]), ("parameters", {})):
         odd = copy.deepcopy(good)
         odd["minima"][0][entry] = value
         with pytest.raises(FitError, match=r"minima\[0\]"):

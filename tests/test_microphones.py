@@ -40,7 +40,7 @@ def test_the_shared_velocity_is_found_and_shown_alike():
     rows = path_fit(MICROPHONES).fit.recordings
     np.testing.assert_allclose([row.stroke_value for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
     one, other = rows[1], rows[3]
-    for name in ("v_H0", "stroke_interval", "stroke_status", "stroke"):
+    for name in ("stroke_value", "stroke_interval", "stroke_status", "stroke"):
         assert getattr(one, name) == getattr(other, name)
     assert one.stroke_interval[0] < one.stroke_value < one.stroke_interval[1]
     assert [row.stroke for row in rows].count(one.stroke) == 2

@@ -12,11 +12,11 @@ from scipy.signal import lfilter
 
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
+from pianofit.excitation.hammer import FINE_VELOCITIES, VELOCITIES
 from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
 from pianofit.inference.batched_model import LevelModel
 from pianofit.inference.estimate import fit_string, refine_minima
 from pianofit.inference.laplace import laplace
-from pianofit.excitation.hammer import FINE_VELOCITIES, VELOCITIES
 from pianofit.inference.multistart import (
     deduplicate,
     initial_hyperparameters,

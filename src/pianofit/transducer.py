@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 
 class Transducer(NamedTuple):
-    """What a recording measures."""
+    """A kind of transducer."""
 
     unit: str  # of the quantity that the model computes
     on_string: bool  # it has a position; otherwise it is at the bridge

@@ -217,7 +217,7 @@ def predict(
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
-    """Predict a recording that took no part in the fit. Only the stroke's velocity or position, gain and pitch are free."""
+    """Predict a recording that took no part in the fit. Only velocity or plucking position, gain and pitch are free."""
     from ..model.program_cache import enable_program_cache
     from ..result import Result
     from ..result.comparison import estimate_contact_onset

@@ -90,9 +90,7 @@ Excitation = Annotated[
 ]
 Quantity = Annotated[
     str | None,
-    typer.Option(
-        parser=choice(*QUANTITIES), metavar="QUANTITY", help=f"Recorded quantity: {', '.join(QUANTITIES)}."
-    ),
+    typer.Option(parser=choice(*QUANTITIES), metavar="QUANTITY", help=f"Recorded quantity: {', '.join(QUANTITIES)}."),
 ]
 Pickup = Annotated[
     float | None, real("M", "Position of a pickup on the string, m from the end that the strike position counts from.")

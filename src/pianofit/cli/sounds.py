@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..model.note import Note
 
 
-
 def simulate(
     out: Sound,
     preset: Annotated[
@@ -133,7 +132,9 @@ def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json.")],
     out: Sound,
     velocity: Annotated[float | None, real("M/S", "Hammer velocity in m/s; a hammer needs it.")] = None,
-    position: Annotated[float | None, real("M", "Plucking position, m from the nearer end. Default: as fitted.")] = None,
+    position: Annotated[
+        float | None, real("M", "Plucking position, m from the nearer end. Default: as fitted.")
+    ] = None,
     seconds: Seconds = 6.0,
     rate: Annotated[int | None, RATE] = None,
     force: Force = False,
@@ -175,4 +176,7 @@ def _with_stroke(note: Note, velocity: float | None, position: float | None) -> 
         raise ParameterError("velocity=: a fitted hammer needs --velocity, m/s")
     played = note if value is None else note.with_stroke(value)
     check_geometry(played.geometry, played.quantity)
-    return played, f"{stroke.name} = {played.stroke_value:.3g} {stroke.unit}" if velocity is None else f"{velocity:g} m/s"
+    return (
+        played,
+        f"{stroke.name} = {played.stroke_value:.3g} {stroke.unit}" if velocity is None else f"{velocity:g} m/s",
+    )

@@ -20,6 +20,7 @@ FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
 FASTEST = 4.0
 # and the factor from stroke to stroke, for layers far apart and for layers close together.
 FACTORS = (0.5, 0.75)
+STRIKE = 0.12  # x0/L, Chaigne and Askenfelt (1994)
 # Velocity, m/s, of the stroke from which steps and modes are chosen.
 NOMINAL = 2.0
 # Gains of recordings through one path: as likely equal, except for variation of single strokes, as normalised one by
@@ -43,6 +44,7 @@ VELOCITY_OF_STROKE = StrokeParameter(
     lambda _: VELOCITIES,
     lambda _: FINE_VELOCITIES,
     _starts,
+    lambda entry, _: entry.v_H0,
     scale_is_open=True,
 )
 HAMMER_WORDS = Words("hammer", "hammer velocity", "velocities", "velocity", "struck")

@@ -5,9 +5,10 @@ static compliance,
 
     q_k = 2 F Φ_k / (M_S ω_k²),     Φ_k = ∫ ĝ sin(β_k x) dx ≈ sin(k π x0/L) (1 - ½ β_k² σ²)
 
-with the ω_k of the stiff string and σ the standard deviation of the window. Without stiffness and width this is the triangle of an ideal pluck, and q_k falls as
-1/k². After the release the string moves freely. The factor F is a factor of the sound, which no recording of unknown
-gain determines, so it is not a parameter. The levels of one pluck determine x0/L by the partials that they lack.
+with the ω_k of the stiff string and σ the standard deviation of the window. Without stiffness and width this is the
+triangle of an ideal pluck, and q_k falls as 1/k². After the release the string moves freely. The factor F is a factor
+of the sound, which no recording of unknown gain determines, so it is not a parameter. The levels of one pluck determine
+x0/L by the partials that they lack.
 
 The width stands for all that rounds the corner: width of finger or plectrum, and their own roundness. To second order
 both multiply the levels by one smooth function of k, so no recording distinguishes them. A pluck at x0 and one at
@@ -17,9 +18,8 @@ L - x0 give the same levels. The position is therefore that from the nearer end.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -37,14 +37,14 @@ POSITIONS = (0.02, 0.5)
 # Effective width, m, median and standard deviation of its logarithm: from the tip of a plectrum, 1 mm, to the ball of a
 # thumb, 2 cm. Chosen, not published.
 WIDTH, WIDTH_SD = 5e-3, 0.8
-WIDTHS = (2e-4, 5e-2)
+WIDTHS = (3e-4, 0.2)  # bounds, over the string length
 # Pickup position over string length: neck pickups lie at about 0.25, bridge pickups at 0.05 to 0.1 (Paiva, Pakarinen
 # and Välimäki, J. Audio Eng. Soc. 60, 768, 2012, model pickups in this range).
 PICKUP, PICKUP_SD = 0.15, 0.6
 PICKUPS = (0.02, 0.5)
-# Scanned positions. Partial k has a lobe of its level in each L/k: the step is a quarter of the lobe of partial 32, and
-# of partial 128. A minimisation bridges half a lobe.
-COARSE, FINE = 64, 256
+# Scanned positions. Partial k has a lobe of its level in each L/k, which a minimisation bridges in part: the steps are
+# a sixth of the lobe of partial 32, and a twentieth of that of partial 100.
+COARSE, FINE = 96, 1024
 # Positions at which the descent over strokes begins, all strokes alike.
 STARTS = 24
 # A player's strokes differ in size by up to 30 dB, in any order. They share nothing about their gain.
@@ -93,70 +93,53 @@ STROKE = StrokeParameter(
     _grid(COARSE),
     _grid(FINE),
     _starts,
+    lambda _, setup: setup.strike_position,
     scale_is_open=False,
 )
 
 
-@dataclass(frozen=True, eq=False)
+WORDS = Words("pluck", "plucking position", "plucking positions", "plucking position", "plucked")
+FORMULA = (r"q_k(0) = \frac{2 F}{M_S ω_k^2} ∫ w(x) \op{sin}(β_k x) \op{d}x", r"\dot{q}_k(0) = 0")
+
+
 class PluckLaw(Excitation):
     """The pluck as an excitation of a fit."""
 
-    name: str = "pluck"
-    kind: str = "pluck"
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    columns: tuple[str, ...] = ("width", "pickup")
-    stroke: StrokeParameter = STROKE
-    words: Words = Words("pluck", "plucking position", "plucking positions", "plucking position", "plucked")
-    formula: tuple[str, ...] = (r"q_k(0) = \frac{2 F}{M_S ω_k^2} ∫ w(x) \op{sin}(β_k x) \op{d}x", r"\dot{q}_k(0) = 0")
-    hammers: Any = Pluck
-    has_contact: bool = False
-    gain_deviations: tuple[float, ...] = (GAIN_DEVIATION,)
-    roughness: tuple[float, float] = ROUGHNESS
+    name = "pluck"
+    kind: ClassVar[str] = "pluck"
+    parameters: Mapping[str, Parameter] = MappingProxyType({})
+    columns = ("width", "pickup")
+    stroke: ClassVar[StrokeParameter] = STROKE
+    words: ClassVar[Words] = WORDS
+    formula = FORMULA
+    hammers = Pluck
+    has_contact: ClassVar[bool] = False
+    gain_deviations: ClassVar[tuple[float, ...]] = (GAIN_DEVIATION,)
+    roughness: ClassVar[tuple[float, float]] = ROUGHNESS
+    spreads: ClassVar[Mapping[str, float]] = MappingProxyType({"width": WIDTH_SD, "pickup": PICKUP_SD})
+    ranges: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({"width": WIDTHS, "pickup": PICKUPS})
 
     def __repr__(self) -> str:
         return "PluckLaw()"
 
-    @cached_property
+    @property
     def hammer_parameters(self) -> dict[str, Parameter]:
         """The static force, which a fit does not search."""
         return {"force": Parameter("N", "static force before the release", 1e-6, 1e6)}
 
-    def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Pluck:
-        """Return a pluck of unit force; the gain of the recording has the size."""
-        return Pluck(values.get("force", 1.0))
+    def make_hammer(self, values: Mapping[str, Any], absent: Any = 1.0) -> Pluck:
+        """Return a pluck; without a value its force is 1 N, because the gain of a recording contains the size."""
+        return Pluck(values.get("force", 0.0 * absent + 1.0))
 
     def displacement(self, modes: Any, hammer: Pluck) -> Any:
         """Return the static displacement of the modes, m [modes]."""
         return hammer.force * modes.modal_gain / modes.omega2
 
-    def stroke_given(self, velocity: Any, position: Any) -> Any:
-        """Return the given plucking position."""
-        return position
-
-    def contact_width(self, length: float) -> float:
-        """Return the assumed effective width, m."""
-        return min(WIDTH, 0.1 * length)
-
-    def string_length(self) -> float:
-        """Return the assumed length, m."""
-        return LENGTH
-
-    def position(self, geometry: Geometry) -> float:
-        """Return the initial plucking position, m."""
-        return POSITION * geometry.length
-
-    def pickup_position(self, length: float) -> float:
-        """Return the initial position of a pickup whose position is not given, m."""
-        return PICKUP * length
-
-    def spreads(self, geometry: Geometry) -> dict[str, float]:
-        """Return the prior standard deviations of width and pickup position."""
-        return {"width": WIDTH_SD, "pickup": PICKUP_SD}
-
-    def ranges(self, geometry: Geometry) -> dict[str, tuple[float, float]]:
-        """Return the bounds of width and pickup position."""
-        low, high = (share * geometry.length for share in PICKUPS)
-        return {"width": (WIDTHS[0], min(WIDTHS[1], 0.2 * geometry.length)), "pickup": (low, high)}
+    def typical(self, preset: Geometry, length: float | None) -> Geometry:
+        """Return the sizes of a guitar string with the mass per metre of the preset, which has no effect."""
+        length = length or LENGTH
+        mass = preset.mass * length / preset.length
+        return Geometry(length, mass, POSITION * length, min(WIDTH, 0.1 * length), PICKUP * length)
 
 
 PLUCK = PluckLaw()

@@ -1,4 +1,4 @@
-"""What a fit asks of an excitation.
+"""The interface of an excitation: everything that a fit asks of it.
 
 F compares the levels of partials over strokes. For them it needs the parameters that all strokes share, the one
 parameter that differs from stroke to stroke, and the motion that a stroke leaves on the string. That motion is a
@@ -12,7 +12,8 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 from ..parameters import Geometry, Parameter
 
@@ -46,6 +47,7 @@ class StrokeParameter:
     prior : median and standard deviation of the logarithm, given a geometry.
     bounds : lower and upper bound, given a geometry.
     coarse, fine : values to scan, given a geometry: for thousands of candidates, and for a few.
+    given : value that the setup gives to a stroke, from its [[recording]] and the setup; None if it gives none.
     starts : start values of all strokes for a descent, given a geometry and the rank of every stroke by brightness.
     scale_is_open : True if one common factor of all strokes changes nothing in the sound when other parameters follow.
     """
@@ -58,6 +60,7 @@ class StrokeParameter:
     coarse: Callable[[Geometry], Any]
     fine: Callable[[Geometry], Any]
     starts: Callable[[Geometry, Any], Sequence[Any]]
+    given: Callable[[Any, Any], float | None]
     scale_is_open: bool
 
 
@@ -76,20 +79,24 @@ class Excitation:
         question of whether the gains are equal.
     roughness : prior of the differences between partials in a path through the body of such instruments and a room, dB:
         median, and spread of the logarithm.
+    spreads : prior standard deviations of the logarithms of columns, next to those of a hammer.
+    ranges : bounds of columns over the string length, next to those of a hammer.
     power, base, storage, slow : of felt laws only; see `FeltLaw`.
     """
 
     name: str
-    kind: str
+    kind: ClassVar[str]
     parameters: Mapping[str, Parameter]
     columns: tuple[str, ...]
-    stroke: StrokeParameter
-    words: Words
+    stroke: ClassVar[StrokeParameter]
+    words: ClassVar[Words]
     formula: tuple[str, ...]
     hammers: Any = None
-    has_contact: bool = True
-    gain_deviations: tuple[float, ...]
-    roughness: tuple[float, float]
+    has_contact: ClassVar[bool] = True
+    gain_deviations: ClassVar[tuple[float, ...]]
+    roughness: ClassVar[tuple[float, float]]
+    spreads: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    ranges: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
     power: tuple[str, str] | None = None
     base: Callable[[Any, Any], Any] | None = None
     storage: Callable[..., Any] | None = None
@@ -106,41 +113,24 @@ class Excitation:
         return dict(self.parameters)
 
     def displacement(self, modes: Any, hammer: Any) -> Any:
-        """Return the modal displacement at t = 0, m [modes]; None for a string at rest.
+        """Return the modal displacement at t = 0, m [modes]; only of an excitation without contact.
 
         Parameters
         ----------
         modes : the table of modes. Plain arithmetic suffices, so this room does not load JAX.
+        hammer : an object of `hammer_type`.
         """
-        return None
+        raise NotImplementedError
 
-    def contact_width(self, length: float) -> float | None:
-        """Return the assumed width of the contact on a string of `length`, m; None for the literature's hammer."""
-        return None
+    def typical(self, preset: Geometry, length: float | None) -> Geometry:
+        """Return the assumed sizes of a string.
 
-    def string_length(self) -> float | None:
-        """Return the assumed length of a string, m; None for that of a piano's key."""
-        return None
-
-    def position(self, geometry: Geometry) -> float | None:
-        """Return the initial position of the contact, m; None for that of a hammer."""
-        return None
-
-    def pickup_position(self, length: float) -> float | None:
-        """Return the initial position of a pickup on a string of `length`, m; None if a fit cannot find it."""
-        return None
-
-    def spreads(self, geometry: Geometry) -> dict[str, float]:
-        """Return prior standard deviations of logarithms of columns that differ from those of a hammer."""
-        return {}
-
-    def ranges(self, geometry: Geometry) -> dict[str, tuple[float, float]]:
-        """Return bounds of columns that differ from those of a hammer."""
-        return {}
-
-    def stroke_given(self, velocity: Any, position: Any) -> Any:
-        """Return the given value of the parameter of a stroke, of its measured velocity and the given position."""
-        return velocity
+        Parameters
+        ----------
+        preset : the literature's piano string of the key.
+        length : given length, m; None if it is assumed too.
+        """
+        raise NotImplementedError
 
     def nominal(self, hammer: Any) -> Any:
         """Return a hammer with an ordinary stroke, from which steps and modes are chosen."""
@@ -160,7 +150,7 @@ class Excitation:
 
     def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
         """Return the base of a felt's power, m, at compression `u`, m, of a felt with these `values`."""
-        return u
+        raise NotImplementedError
 
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
         """Return a hammer with these `values`; fields of its type that the excitation does not have are `absent`."""

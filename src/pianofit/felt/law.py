@@ -17,9 +17,9 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from ..errors import ParameterError
-from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, VELOCITY_OF_STROKE
+from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, STRIKE, VELOCITY_OF_STROKE
 from ..excitation.protocol import Excitation, StrokeParameter, Words
-from ..parameters import PARAMETERS, Parameter, check
+from ..parameters import PARAMETERS, Geometry, Parameter, check
 
 # Parameters of every hammer, in addition to those of its felt.
 COMMON_PARAMETERS = ("M_H", "v_H0")
@@ -129,6 +129,12 @@ class FeltLaw(Excitation):
     def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
         """Return the base of the power, m, at compression `u`, m, of a felt with these `values`."""
         return u if self.base is None else self.base(u, SimpleNamespace(**values))
+
+    def typical(self, preset: Geometry, length: float | None) -> Geometry:
+        """Return the sizes of a piano string; one of another length has the mass per metre of the preset."""
+        length = float(length or preset.length)
+        mass = preset.mass * length / preset.length
+        return Geometry(length, mass, STRIKE * length, min(preset.width, 0.1 * length), 0.5 * length)
 
     def nominal(self, hammer: Any) -> Any:
         """Return the hammer at an ordinary velocity."""

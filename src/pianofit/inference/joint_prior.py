@@ -89,7 +89,9 @@ class JointPrior:
         flat = self.invariants._replace(linear=np.zeros_like(self.invariants.linear), constant=0.0)
         return flat(theta, law)
 
-    def evaluate(self, theta: np.ndarray, law: Excitation, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(
+        self, theta: np.ndarray, law: Excitation, free: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Part of F: value [B], gradient [B, size] and curvature [B, size, size]; 0 for entries that are not free."""
         r, J = self.residual(theta, law)
         J = J * free

@@ -51,7 +51,7 @@ REACH = 0.3
 # and in standard deviations of the quadratic approximation. F of a clean recording has ripples along a ridge that is
 # narrow in all other directions. They are some deviations apart, and F can fall by tens between them.
 ALONG = 10.0
-# Shifts of log x0: minima of the strike position are less than a percent apart in the bass.
+# Shifts of the logarithm of a position: minima of the strike position are less than a percent apart in the bass.
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps of a restart
 TRIAL = 6
@@ -147,14 +147,21 @@ def _kinds_of_restart(
         return rank_hammers(objective, best.theta, fine, [surrogate], best.offset[0])[0]
 
     def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
-        """Other strike positions."""
-        theta = np.tile(best.theta, (2 * len(SCAN), 1))
-        theta[:, u.index_of("x0")] += np.outer([1, -1], SCAN).ravel()
+        """Other positions, one at a time."""
+        theta = np.tile(best.theta, (2 * len(SCAN) * len(positions), 1))
+        for n, at in enumerate(positions):
+            theta[n * 2 * len(SCAN) : (n + 1) * 2 * len(SCAN), at] += np.outer([1, -1], SCAN).ravel()
         return u.project(theta)
 
-    # A scan of a stroke's own position includes the shifts.
-    moves = "x0" in u.names and bool(u.free[u.index_of("x0")])
-    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * moves]
+    # A partial has equal levels on both sides of its node, so minima of a position lie in pairs.
+    positions = [at for name, at in _positions(u) if free[at]]
+    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(positions)]
+
+
+def _positions(u: Parametrisation) -> list[tuple[str, int]]:
+    """Names and indices in θ of the positions on the string: of the contact, of every stroke, and of the pickup."""
+    shared = [(name, u.index_of(name)) for name in ("x0", "pickup") if name in u.names]
+    return shared + [(u.law.stroke.name, at) for at in range(u.size)[u.velocities] if u.law.stroke.name == "x0"]
 
 
 def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:

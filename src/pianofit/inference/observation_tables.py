@@ -79,7 +79,7 @@ def observe(
     unit: float,
     path: bool,
     gains: bool,
-    law: Excitation = DEFAULT_LAW,
+    excitation: Excitation = DEFAULT_LAW,
     quantity: str = "pressure",
 ) -> Observations:
     """The tables of recordings of one key.
@@ -89,7 +89,8 @@ def observe(
     reference : index of the reference recording.
     unit : the pickup's unit over full scale, dB.
     path, gains : true if the output path is unknown, and if its gain is.
-    law, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share nothing about their gain.
+    excitation, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share
+        nothing about their gain.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
@@ -97,9 +98,9 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    roughness = TRANSDUCERS[quantity].roughness or law.roughness
-    level = _levels(analyses, layout, number, ref, unit, path, law.gain_deviations if gains else None, roughness)
-    if path and law.has_contact and np.isfinite([a.knock for a in analyses]).any():
+    roughness = TRANSDUCERS[quantity].roughness or excitation.roughness
+    level = _levels(analyses, layout, number, ref, unit, path, excitation.gain_deviations if gains else None, roughness)
+    if path and excitation.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
     frequency, decay = _string_tables(analyses, detected, law, ref)

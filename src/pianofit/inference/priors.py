@@ -95,9 +95,7 @@ def path_nodes(roughness: tuple[float, float] = PATH) -> tuple[np.ndarray, np.nd
     return np.log(roughness[0]) + roughness[1] * x, weight / weight.sum()
 
 
-def log_gain(
-    gain: float, others: Sequence[float] = (0.0,), deviations: Sequence[float] = GAIN_DEVIATION
-) -> float:
+def log_gain(gain: float, others: Sequence[float] = (0.0,), deviations: Sequence[float] = GAIN_DEVIATION) -> float:
     """Log predictive density of a recording's gain, dB, given those of `others` through its path.
 
     All recordings of a path either share a gain or do not. As in F, the other recordings decide between the two.
@@ -210,16 +208,11 @@ def _reference_hammer(hammer: Hammer, law: Excitation, values: dict[str, float])
 
 def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]]:
     """Length, mass and strike position of the setup, completed from the literature's string for the key."""
-    law = setup.law
-    length = setup.length or law.string_length() or preset.length
-    # A string of another length is assumed to have the literature's mass per metre.
-    mass = setup.mass or preset.mass * length / preset.length
-    width = setup.strike_width or law.contact_width(length) or min(preset.width, 0.1 * length)
-    pickup = setup.pickup_position or law.pickup_position(length) or 0.5 * length
-    geometry = Geometry(length, mass, 0.12 * length, width, pickup)
-    strike = setup.strike_position or law.position(geometry) or geometry.strike_position
+    geometry = setup.law.typical(preset, setup.length)
     given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
-    return geometry._replace(strike_position=strike), tuple(k for k, v in given.items() if v is None)
+    own = given | {"strike_position": setup.strike_position, "pickup": setup.pickup_position}
+    assumed = tuple(name for name, value in given.items() if value is None)
+    return geometry._replace(**{name: value for name, value in own.items() if value is not None}), assumed
 
 
 def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:

@@ -161,7 +161,7 @@ def build_problem(
     structure = _structure(entries)
     given: list[float | None] = [None] * structure.strokes
     for stroke, entry in zip(structure.stroke, entries, strict=True):
-        v = setup.law.stroke_given(velocity if velocity is not None else entry.v_H0, setup.strike_position)
+        v = setup.law.stroke.given(entry, setup) if velocity is None else velocity
         given[stroke] = given[stroke] if v is None else v
     measured = [None if v is None else float(v) for v in given]
     # The fastest recording with a measured velocity, or else the brightest.
@@ -175,7 +175,9 @@ def build_problem(
         given[stroke] = setup.fixed["v_H0"]
         measured[stroke] = float(setup.fixed["v_H0"])
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law, start.quantity)
+    observed = observe(
+        analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law, start.quantity
+    )
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
     if setup.prior is not None:
         scale_free = start.scale is None and all(v is None for v in given)
@@ -291,7 +293,7 @@ def _parametrisation(start: InitialValues, measured: Sequence[float | None], u_r
     names = names_of(law)
     sizes = tuple(name for name in SIZES if name in start.relative_sd and name not in names)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
-    spread |= law.spreads(geometry)
+    spread |= law.spreads
     if not TRANSDUCERS[start.quantity].on_string:
         spread.pop("pickup", None)
     # A loss that the law does not have gets no spread, so it is fixed.
@@ -338,7 +340,8 @@ def _bounds(start: InitialValues, names: Sequence[str], strokes: int, sizes: int
     bounds["x0"] = max(STRIKE[0] * geometry.length, 0.51 * geometry.width), STRIKE[1] * geometry.length
     bounds["width"] = WIDTHS[0] * geometry.width, WIDTHS[1] * geometry.width
     stroke = start.law.stroke
-    bounds |= start.law.ranges(geometry) | {stroke.name: stroke.bounds(geometry)} | start.bounds
+    own = {name: (low * geometry.length, high * geometry.length) for name, (low, high) in start.law.ranges.items()}
+    bounds |= own | {stroke.name: stroke.bounds(geometry)} | start.bounds
     logs = np.log([bounds[n] for n in names] + [bounds[stroke.name]] * strokes)
     for name in {"x0", "pickup"} & {*names} & {*start.relative_sd}:
         logs[names.index(name)] = -np.inf, np.inf

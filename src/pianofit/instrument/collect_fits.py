@@ -19,6 +19,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
+from ..excitation import HAMMER
 from ..felt import SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
@@ -192,13 +193,17 @@ def _load_key(file: Path) -> KeyFit:
     fit, name = read_fit(file), printable(file)
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
+    if fit.excitation != HAMMER:
+        raise FitError(
+            f"{name}: its string is {fit.excitation}ed; an instrument of 88 keys needs fits of struck strings"
+        )
     if not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
     for i, recording in enumerate(fit.recordings):
         if not (recording.stroke_value > 0 and recording.gain):
             raise FitError(
-                f"{name}: recordings[{i}] has v_H0 = {recording.stroke_value:g} m/s and gain = {recording.gain:g}, but a "
-                "velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
+                f"{name}: recordings[{i}] has v_H0 = {recording.stroke_value:g} m/s and gain = {recording.gain:g}, but "
+                "a velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
             )
     for i, minimum in enumerate(fit.minima):
         missing = NEEDED - {*minimum.parameters}

@@ -13,15 +13,15 @@ import numpy as np
 from .. import deferred
 from ..dsp.knock import centre, nodes
 from ..errors import ParameterError, check_range, check_type
-from ..excitation import GEOMETRY_FIELDS, Pluck
-from ..felt import RelaxingHammer, SoftHammer, law_of
+from ..excitation import GEOMETRY_FIELDS
+from ..felt import law_of
 from ..io.audio import RATES
 from ..io.number_format import summary
-from ..parameters import Geometry, Hammer, String, check_velocity
+from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
-from .excite import excite
 from .damped_sums import z_transform
+from .excite import excite
 from .free_response import level_db, modal_amplitudes
 from .knock import knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
@@ -65,7 +65,7 @@ class Note(NamedTuple):
     """
 
     string: String
-    hammer: Hammer | SoftHammer | RelaxingHammer | Pluck
+    hammer: Any  # `Hammer`, `SoftHammer`, `RelaxingHammer`, a hammer of a `FeltLaw`, or `Pluck`
     geometry: Geometry
     quantity: str
     gain: float
@@ -89,9 +89,11 @@ class Note(NamedTuple):
     def stroke_value(self) -> Any:
         """Value of the parameter of the stroke: hammer velocity, m/s, or plucking position, m."""
         name = law_of(self.hammer).stroke.name
-        return getattr(self.hammer, name) if name in self.hammer._fields else getattr(self.geometry, GEOMETRY_FIELDS[name])
+        return (
+            getattr(self.hammer, name) if name in self.hammer._fields else getattr(self.geometry, GEOMETRY_FIELDS[name])
+        )
 
-    def with_stroke(self, value: float) -> Note:
+    def with_stroke(self, value: Any) -> Note:
         """Return the note with another hammer velocity, m/s, or plucking position, m."""
         name = law_of(self.hammer).stroke.name
         if name in self.hammer._fields:
@@ -109,7 +111,7 @@ class Note(NamedTuple):
         self._check_struck(velocity)
         return self.with_stroke(velocity)
 
-    def _check_struck(self, velocity: float | None) -> None:
+    def _check_struck(self, velocity: Any) -> None:
         """Raise a `ParameterError` if a velocity is given for a note without a hammer."""
         law = law_of(self.hammer)
         if velocity is not None and not law.has_contact:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..analysis import law_frequency
+from ..felt import law_of
 from ..model import Simulation
 from ..result import Result
 from ..schema.fit import Criterion, PartialLevels
@@ -245,7 +246,9 @@ def _residuals(result: Result) -> Figure:
 
 
 def draw_contact(result: Result) -> list[Figure]:
-    """Draw the hammer force over time, and over the compression of the felt."""
+    """Draw the hammer force over time, and over the compression of the felt; [] without a contact."""
+    if not law_of(result.note.hammer).has_contact:
+        return []
     titles = {draw_force: "Force over time", draw_loop: "Force over compression"}
     return [make_figure(draw, result, title=title) for draw, title in titles.items()]
 

@@ -98,7 +98,11 @@ def minima(fit: Fit) -> tuple[list[tuple[str, str]], list[tuple[str, str, list[s
     if len(fit.minima) < 2:
         return None
     felt = [name for name in fit.parameters if name not in NOT_FELT]
-    names = [name for name in (*felt, "M_H", "x0") if len({m.parameters.get(name) for m in fit.minima}) > 1]
+    names = [
+        name
+        for name in (*felt, "M_H", "x0", "pickup", "width")
+        if len({m.parameters.get(name) for m in fit.minima}) > 1
+    ]
     lowest = min(minimum.negative_log_posterior for minimum in fit.minima)
     table = [
         (

@@ -157,8 +157,8 @@ def _validation(
         if own.predicted_db is None
     ]
     warnings += [
-        f"{Path(fitted[i].file).name} is predicted at {p.stroke_value:.3g} {p.stroke.unit}, at the limit of the searched "
-        f"range: its {law_of(p.note.hammer).words.stroke} could not be determined."
+        f"{Path(fitted[i].file).name} is predicted at {p.stroke_value:.3g} {p.stroke.unit}, at the limit of the "
+        f"searched range: its {law_of(p.note.hammer).words.stroke} could not be determined."
         for i, p in predicted.items()
         if p is not None and p.at_search_limit
     ]

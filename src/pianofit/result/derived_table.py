@@ -24,9 +24,9 @@ AT_REFERENCE = ("felt_force", "local_exponent")
 def derived_quantities(draws: DrawSet) -> Quantities:
     """Return the derived quantities of a fit with intervals and statuses.
 
-    With a hammer they are contact time, largest force and compression of the reference stroke, the felt force at the reference
-    compression and its exponent there, and the energy lost in the felt. All fits have T60 of the partials 1, 2, 4 and so on up to the
-    highest detected one.
+    With a hammer they are contact time, largest force and compression of the reference stroke, the felt force at the
+    reference compression and its exponent there, and the energy lost in the felt. All fits have T60 of the partials 1,
+    2, 4 and so on up to the highest detected one.
     """
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"

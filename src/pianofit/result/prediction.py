@@ -233,7 +233,8 @@ def scanned_values(note: Note) -> np.ndarray:
     law = law_of(note.hammer)
     if law.has_contact:
         return np.geomspace(SLOWEST_LEVEL_VELOCITY, FASTEST, GRID_SIZE)
-    return np.linspace(*law.stroke.bounds(note.geometry), GRID_SIZE)
+    low, high = law.stroke.bounds(note.geometry)
+    return np.linspace(low, high, GRID_SIZE)
 
 
 def _detected(note: Note, number: np.ndarray) -> np.ndarray:

@@ -15,9 +15,10 @@ def released_statement(fit: InferenceResult, states: Mapping[str, Status], level
     problem, count = fit.problem, len(fit.problem.recordings)
     recorded = "One recording" if count == 1 else f"{count} recordings"
     verb = "determines" if count == 1 else "determine"
+    player = problem.parametrisation.law.words.player
     parts = [
-        f"{recorded} of unknown gain {verb} the string and the place of the {problem.parametrisation.law.words.player}, "
-        "not its size. The gain of a recording contains the size."
+        f"{recorded} of unknown gain {verb} the string and the place of the {player}, not its size. The gain of a "
+        "recording contains the size."
     ]
     if "width" in states and states["width"] == "not-identifiable":
         parts.append(

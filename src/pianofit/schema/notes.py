@@ -95,7 +95,9 @@ def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> Exci
     """Return the excitation that a file names; a felt law from outside the package must be given as `felt`."""
     if record.excitation != HAMMER:
         if felt is not None:
-            raise FitError(f"{name}: its string is {OTHERS[record.excitation].words.verb}, without a felt; remove felt=")
+            raise FitError(
+                f"{name}: its string is {OTHERS[record.excitation].words.verb}, without a felt; remove felt="
+            )
         return OTHERS[record.excitation]
     if felt is not None and record.felt != felt.name:
         raise FitError(f"{name}: its felt law is {record.felt!r}, not {felt.name!r}; give the law of the fit")
@@ -181,7 +183,9 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
     velocity = stroke.stroke_value
     if which:
         velocities = fit.minima[which].stroke_values
-        velocity = float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.stroke_value)
+        velocity = (
+            float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.stroke_value)
+        )
     c = float(note.string.c) * 2 ** min(stroke.pitch_offset_cents / 1200, 100.0)  # no larger, or it would overflow
     try:
         check({"c": c} | ({"v_H0": velocity} if fit.stroke_name == "v_H0" else {}), where)
@@ -202,7 +206,9 @@ def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
     FitError
         If the fit has no initial values.
     """
-    initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {fit.stroke_name: stroke.stroke_initial}
+    initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {
+        fit.stroke_name: stroke.stroke_initial
+    }
     values = {name: value for name, value in initial.items() if value is not None}
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
