@@ -82,7 +82,7 @@ def synthetic_recording(
     Parameters
     ----------
     string, geometry : string and geometry in SI units. `geometry` has the strike position and the pickup position.
-    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`, or a `Pluck`.
     rate : Hz.
     seconds : length of the sound, s. The first 0.06 s of it are silent.
     quantity : what the pickup records: velocity, displacement, bridge-force or pressure.
@@ -190,9 +190,11 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
         strike_width=width,
         pickup_quantity=quantity,
         pickup_position=pickup if quantity in ON_STRING else None,
-        pickup_scale=None if TRANSDUCERS[quantity].unknown_path else scale,  # an unknown output path has no scale
+        # An unknown output path has no scale, and the size of a pluck is unknown.
+        pickup_scale=None if TRANSDUCERS[quantity].unknown_path or not law.has_contact else scale,
         recordings=(RecordingInfo(file=name),),
-        felt=law.name if law.hammers is not None else law,
+        felt=None if not law.has_contact else law.name if law.hammers is not None else law,
+        excitation=law.kind,
     )
 
 
@@ -201,6 +203,8 @@ def setup_text(setup: Setup) -> str:
     tables: dict[str, list[str]] = {}
     for attribute, (table, key) in SETUP_KEYS.items():
         value = setup.law.name if attribute == "felt" else getattr(setup, attribute)
+        if (attribute == "felt") != setup.law.has_contact and attribute in ("felt", "excitation"):
+            continue  # a file names the felt law of a hammer, or another excitation
         if value is not None:
             unit = f"  # {UNITS[key]}" if key in UNITS else ""
             tables.setdefault(table, []).append(f"{key} = {_toml(value)}{unit}")

@@ -147,10 +147,13 @@ def _kinds_of_restart(
         return rank_hammers(objective, best.theta, fine, [surrogate], best.offset[0])[0]
 
     def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
-        """Other positions, one at a time."""
+        """Other positions, one at a time; one stroke and a pickup can also exchange their positions."""
         theta = np.tile(best.theta, (2 * len(SCAN) * len(positions), 1))
         for n, at in enumerate(positions):
             theta[n * 2 * len(SCAN) : (n + 1) * 2 * len(SCAN), at] += np.outer([1, -1], SCAN).ravel()
+        if len(positions) > 1 and u.strokes == 1:
+            theta = np.concatenate([theta, best.theta])
+            theta[-1, positions] = theta[-1, positions[::-1]]
         return u.project(theta)
 
     # A partial has equal levels on both sides of its node, so minima of a position lie in pairs.

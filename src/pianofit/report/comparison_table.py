@@ -96,7 +96,7 @@ class Sides:
     def laws(self) -> tuple[tuple[StaticLaw, StaticLaw] | None, tuple[str, ...]]:
         """Return both static laws up to the smaller of the largest compressions; or None and the reason."""
         if any(without := [fit.excitation != HAMMER for fit in self.fits]):
-            return None, (f"The felts are not compared: {self.where(without)} has no hammer.",)
+            return None, (f"The felts are not compared: there is not a hammer in {self.where(without)}.",)
         try:
             reach = min(map(largest_compression, self.results))
             first, second = (static_law(result, reach) for result in self.results)
