@@ -37,7 +37,7 @@ def fit_dict(**values: object) -> dict:
     }  # fmt: skip
     numbers = ("f0", "B", "f1", "reference_compression_mm", "glide_cents")
     return {
-        "schema": 7, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 8, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "", "warnings": [], "invariants": {}, "minima": [], "criterion": criterion,
         "parameters": {name: {"value": value, "initial": 1.0, **facts} for name, value in values.items()},

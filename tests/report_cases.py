@@ -193,7 +193,7 @@ def example_content() -> dict[str, Any]:
     k = np.arange(1, COUNT + 1)
     path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
     return {
-        "schema": 7, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 8, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "One uncalibrated recording does not determine the felt. A smooth unknown output "
         "path with a hammer from the literature explains these levels as well.",

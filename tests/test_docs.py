@@ -181,7 +181,7 @@ CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re
 def test_every_constant_of_the_table_is_in_the_code():
     """By name: a constant that goes takes its row with it, and every row can be measured."""
     room = ROOT / "src" / "pianofit"
-    files = [file for part in ("inference", "analysis", "felt") for file in (room / part).glob("*.py")]
+    files = [file for part in ("inference", "analysis", "felt", "excitation") for file in (room / part).glob("*.py")]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
     names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))

@@ -45,8 +45,8 @@ USES = {
     "inference": "analysis dsp excitation felt io key_prior literature model parameters progress recording setup sobol"
     " threads transducer x64",
     "synthetic": "felt io literature model parameters recording setup transducer",
-    "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress recording"
-    " schema setup sobol threads transducer",
+    "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress"
+    " recording schema setup sobol threads transducer",
     "modal_response": "analysis dsp felt model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "report": "analysis dsp excitation felt io modal_response model result schema",
