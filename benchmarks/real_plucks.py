@@ -61,9 +61,8 @@ def repeat(folder: Path) -> None:
         top = [max(level.values()) - LEVEL_RANGE for level in levels]
         common = [k for k in levels[0] if k in levels[1] and levels[0][k] > top[0] and levels[1][k] > top[1]]
         change = np.std([levels[0][k] - levels[1][k] for k in common])
-        print(
-            f"  {key} {layer} {role:11} predicted {errors[1]:5.2f} and {errors[0]:5.2f} dB, repetitions {change:5.2f} dB"
-        )
+        predicted = f"predicted {errors[1]:5.2f} and {errors[0]:5.2f} dB"
+        print(f"  {key} {layer} {role:11} {predicted}, repetitions {change:5.2f} dB")
 
 
 def leave_out(folder: Path) -> None:

@@ -53,7 +53,7 @@ USES = {
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
     "batch": "analysis fitting instrument io model parameters recording report schema threads",
-    "instrument": "analysis dsp felt io key_prior literature model parameters report schema",
+    "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp instrument io model playback report schema threads",

@@ -137,6 +137,14 @@ def test_the_page_of_a_pluck_has_no_hammer(fitted, tmp_path):
     assert not [word for word in ("hammer velocity", "Hammer force", "felt") if word in prose]
 
 
+def test_figures_of_a_hammer_are_refused(fitted):
+    _, result = fitted
+    for name in ("force", "felt"):
+        with pytest.raises(FitError, match="plucked"):
+            getattr(result.plot, name)()
+    assert "pluck" in repr(result.note).lower()
+
+
 def test_an_instrument_rejects_plucks(fitted, tmp_path):
     _, result = fitted
     result.save(tmp_path / "A2", page=False)

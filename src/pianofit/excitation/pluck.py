@@ -116,6 +116,7 @@ class PluckLaw(Excitation):
     has_contact: ClassVar[bool] = False
     gain_deviations: ClassVar[tuple[float, ...]] = (GAIN_DEVIATION,)
     roughness: ClassVar[tuple[float, float]] = ROUGHNESS
+    figures: ClassVar[tuple[str, ...]] = ("release",)
     spreads: ClassVar[Mapping[str, float]] = MappingProxyType({"width": WIDTH_SD, "pickup": PICKUP_SD})
     ranges: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({"width": WIDTHS, "pickup": PICKUPS})
 

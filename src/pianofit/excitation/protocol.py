@@ -81,6 +81,7 @@ class Excitation:
         median, and spread of the logarithm.
     spreads : prior standard deviations of the logarithms of columns, next to those of a hammer.
     ranges : bounds of columns over the string length, next to those of a hammer.
+    figures : names of the figures of a page that show the excitation.
     power, base, storage, slow : of felt laws only; see `FeltLaw`.
     """
 
@@ -95,6 +96,7 @@ class Excitation:
     has_contact: ClassVar[bool] = True
     gain_deviations: ClassVar[tuple[float, ...]]
     roughness: ClassVar[tuple[float, float]]
+    figures: ClassVar[tuple[str, ...]]
     spreads: ClassVar[Mapping[str, float]] = MappingProxyType({})
     ranges: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
     power: tuple[str, str] | None = None

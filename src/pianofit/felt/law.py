@@ -89,6 +89,7 @@ class FeltLaw(Excitation):
     words: ClassVar[Words] = HAMMER_WORDS
     gain_deviations: ClassVar[tuple[float, ...]] = GAIN_DEVIATION
     roughness: ClassVar[tuple[float, float]] = PATH
+    figures: ClassVar[tuple[str, ...]] = ("force", "felt")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):

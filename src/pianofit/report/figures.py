@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..analysis import law_frequency
-from ..felt import law_of
 from ..model import Simulation
 from ..result import Result
 from ..schema.fit import Criterion, PartialLevels
@@ -246,9 +245,7 @@ def _residuals(result: Result) -> Figure:
 
 
 def draw_contact(result: Result) -> list[Figure]:
-    """Draw the hammer force over time, and over the compression of the felt; [] without a contact."""
-    if not law_of(result.note.hammer).has_contact:
-        return []
+    """Draw the hammer force over time, and over the compression of the felt."""
     titles = {draw_force: "Force over time", draw_loop: "Force over compression"}
     return [make_figure(draw, result, title=title) for draw, title in titles.items()]
 

@@ -44,6 +44,8 @@ STROKE_SECONDS = 2.5
 # Recordings whose velocities differ by less than this ratio do not define a range of velocities. The slider then goes
 # down and up by the second ratio.
 SMALLEST_RANGE, DEFAULT_RANGE = 1.3, 2.0
+# Figures that an excitation can name.
+EXCITATION_FIGURES = {"release": draw_release, "force": draw_contact, "felt": draw_felt}
 
 
 def report_bytes(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
@@ -100,16 +102,15 @@ def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dic
             "attack": draw_attacks(result),
             "partials": draw_partials(result),
             "levels": draw_reference_levels(result),
-            "release": draw_release(result),
-            "force": draw_contact(result),
             "recordings": draw_recordings(fit),
             "paths": draw_paths(fit),
             "held_out": draw_left_out(held_out.recordings if held_out else (), STROKE_PARAMETERS[fit.excitation].unit),
-            "felt": draw_felt(result),
             "identifiability": draw_identifiability(result),
             "envelopes": draw_envelopes(result) if fit.modal_response else [],
             "spectrograms": draw_spectrograms(result) if fit.modal_response else [],
         }
+        own = law_of(result.note.hammer).figures
+        figures |= {name: draw(result) if name in own else [] for name, draw in EXCITATION_FIGURES.items()}
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 

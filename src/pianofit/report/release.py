@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..felt import law_of
 from ..model.note import Note
 from ..result import Result
 from .drawing import FITTED, GROUPS, INK, make_figure, number_axis
@@ -22,9 +21,7 @@ LOWEST = -80.0
 
 
 def draw_release(result: Result) -> list[Figure]:
-    """Draw the shape of the string at the release for each recording, and its levels; [] if a hammer strikes it."""
-    if law_of(result.note.hammer).has_contact:
-        return []
+    """Draw the shape of the string at the release for each recording, and its levels."""
     count = int(result.fit.reference.partials.number.max())
     return [
         make_figure(_draw_shapes, result, title="String at the release", legend_rows=0),

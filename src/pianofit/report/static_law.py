@@ -108,8 +108,6 @@ def largest_compression(result: Result) -> float:
 
 def draw_felt(result: Result) -> list[Figure]:
     """Draw the static law with its band, and the loops of force over compression of all strokes."""
-    if not law_of(result.note.hammer).has_contact:
-        return []
     law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
     rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
     mark = result.fit.derived.reference_compression_mm
