@@ -30,7 +30,7 @@ def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
 
 def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
     setup = strokes_of(MICROPHONES)
-    entries = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.stroke_value) for t in setup.recordings]
+    entries = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in setup.recordings]
     problem = build_problem(*through(MICROPHONES), replace(setup, recordings=tuple(entries)))
     assert problem.measured_velocity == (None, 1.5, VELOCITIES[2])
     assert not problem.parametrisation.free[-2:].any()
@@ -117,7 +117,7 @@ def test_leaving_a_recording_out_leaves_out_its_stroke(monkeypatch):
     assert [row.file for row in found.recordings if row.has_neighbours] == ["1-close.wav"]
     assert middle.predicted_db == found.median_inner_db < 0.5 * middle.nearest_db
     # The other microphone recorded no other stroke, so its path and its levels are unknown.
-    assert lone == LeftOutRecording("1-room.wav", lone.v_H0, None, None, None, None, None, False)
+    assert lone == LeftOutRecording("1-room.wav", lone.stroke_value, None, None, None, None, None, False)
     (message,) = found.warnings
     assert "1-room.wav" in message
     assert message in (printed := _left_out_table(found))

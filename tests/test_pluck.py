@@ -11,6 +11,7 @@ from pluck_cases import draw
 
 import pianofit
 from pianofit import FitError, Geometry, Note, ParameterError, Pluck, Setup, SetupError, String
+from pianofit.cli.fits import setup_of_options
 from pianofit.excitation import NAMES, OTHERS, PLUCK, STROKES
 from pianofit.felt import law_of
 from pianofit.instrument import load_keys
@@ -163,6 +164,15 @@ def test_one_pluck_at_a_pickup_is_reported_as_ambiguous():
     low, high = result.invariants["x0/L"].interval
     assert low <= both[0] * 1.01
     assert high >= both[1] * 0.99
+
+
+def test_options_make_the_setup_and_contradict_a_file(tmp_path):
+    made = setup_of_options(None, None, "pluck", "magnetic-pickup", 0.16)
+    assert made == Setup(excitation="pluck", pickup_quantity="magnetic-pickup", pickup_position=0.16)
+    (file := tmp_path / "setup.toml").write_text('string.length = 0.6\npickup.quantity = "bridge-force"\n')
+    assert setup_of_options(file, None, "pluck", None, None).length == 0.6
+    with pytest.raises(SetupError, match="quantity"):
+        setup_of_options(file, None, "pluck", "magnetic-pickup", None)
 
 
 @pytest.mark.parametrize(
