@@ -46,7 +46,8 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """Return module, attribute and scaling function by the first cell of the row in docs/fitting.md."""
     from pianofit.analysis import baseband_fit, envelope_slopes, inharmonicity, partials
-    from pianofit.felt import soft_skin
+    from pianofit.excitation import hammer
+    from pianofit.felt import FeltLaw, soft_skin
     from pianofit.inference import (
         batched_model,
         curvature,
@@ -83,17 +84,17 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FELT_SPREAD`, all of the felt": (_Felt(), "spread", every),
         "`SKIN`": (soft_skin, "SKIN", plain),
         "`HAMMER_SD`, all": (priors, "HAMMER_SD", every),
-        "`VELOCITY`": (priors, "VELOCITY", plain),
-        "`VELOCITY_SD`": (priors, "VELOCITY_SD", plain),
+        "`VELOCITY`": (hammer, "VELOCITY", plain),
+        "`VELOCITY_SD`": (hammer, "VELOCITY_SD", plain),
         "`STRING_SD`, all": (priors, "STRING_SD", every),
         "`GAIN`": (priors, "GAIN", plain),
-        "`GAIN_DEVIATION`, one gain": (priors, "GAIN_DEVIATION", place(0)),
-        "`GAIN_DEVIATION`, levelled": (priors, "GAIN_DEVIATION", place(1)),
+        "`GAIN_DEVIATION`, one gain": (FeltLaw, "gain_deviations", place(0)),
+        "`GAIN_DEVIATION`, levelled": (FeltLaw, "gain_deviations", place(1)),
         "`ONSET`": (priors, "ONSET", plain),
         "`ONSET_PERIODS`": (priors, "ONSET_PERIODS", plain),
         "`STUDENT`": (priors, "STUDENT", plain),
-        "`PATH`, median": (priors, "PATH", place(0)),
-        "`PATH`, spread": (priors, "PATH", place(1)),
+        "`PATH`, median": (FeltLaw, "roughness", place(0)),
+        "`PATH`, spread": (FeltLaw, "roughness", place(1)),
         "`KNOCK_SD`": (priors, "KNOCK_SD", plain),
         "`KNOCK_PATH_SD`": (priors, "KNOCK_PATH_SD", plain),
         "`CENSORED_MARGIN`": (priors, "CENSORED_MARGIN", plain),
@@ -111,8 +112,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`LAW_REACH`": (priors, "LAW_REACH", plain),
         "`HIGHEST_HZ`": (observation_tables, "HIGHEST_HZ", plain),
         "`SAMPLES`": (multistart, "SAMPLES", plain),
-        "`VELOCITIES`": (multistart, "VELOCITIES", points),
-        "`FINE_VELOCITIES`": (multistart, "FINE_VELOCITIES", points),
+        "`VELOCITIES`": (hammer, "VELOCITIES", points),
+        "`FINE_VELOCITIES`": (hammer, "FINE_VELOCITIES", points),
         "`TAIL`": (multistart, "TAIL", plain),
         "`WIDE_EXCESS`": (multistart, "WIDE_EXCESS", plain),
         "`STEP_COARSENING`": (batched_model, "STEP_COARSENING", plain),

@@ -31,7 +31,7 @@ def score(fit: Fit, true: dict, velocities: list[float]) -> list[dict]:
     ]
     for own, v in zip(fit.recordings, velocities, strict=False):
         if not own.is_reference:
-            rows.append(row(OTHERS, own.v_H0, own.v_H0_interval, own.v_H0_status, v))
+            rows.append(row(OTHERS, own.stroke_value, own.stroke_interval, own.stroke_status, v))
     return rows
 
 

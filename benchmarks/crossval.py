@@ -74,7 +74,7 @@ def validate(job: tuple[str, str, list[Path], Setup, str, int]) -> dict:
     enable_program_cache()
     begun = time.perf_counter()
     found = cross_validate(*files, setup=replace(setup, felt=law), note=note, seed=seed, progress=False)
-    velocities = {Path(row.file).stem: row.v_H0 for row in found.result.fit.recordings}
+    velocities = {Path(row.file).stem: row.stroke_value for row in found.result.fit.recordings}
     seconds = time.perf_counter() - begun
     return {"note": key, "law": law, "seed": seed, "seconds": seconds, "velocities": velocities} | found.to_dict()
 

@@ -68,7 +68,7 @@ def own_error(result: Result, sounds: Sequence[Analysis], fitted: int, other: in
     from pianofit.criterion import level_error_db
 
     number, change = level_change(sounds[fitted], sounds[other])
-    velocities = np.array([result.fit.recordings[i].v_H0 for i in (fitted, other)])
+    velocities = np.array([result.fit.recordings[i].stroke_value for i in (fitted, other)])
     levels = result.note.levels_and_knock(velocities, int(number.max()))[0][:, number - 1]
     return level_error_db(levels[1] - levels[0], change)
 
@@ -93,7 +93,7 @@ def fitted_over_loudest(complete: Mapping[str, Result], fitted: Mapping[str, int
     """Velocity of the fitted layer over that of the loudest one: geometric mean over all keys but one."""
     logs = []
     for key, result in complete.items():
-        velocities = np.array([recording.v_H0 for recording in result.fit.recordings])
+        velocities = np.array([recording.stroke_value for recording in result.fit.recordings])
         logs.append(np.log(velocities[fitted[key]] / velocities.max()))
     return float(np.exp(np.mean([x for key, x in zip(complete, logs, strict=True) if key != without])))
 
@@ -135,7 +135,7 @@ def main() -> None:
         analyses = [sounds[key][i] for i in others]
         columns = [[recorded_error(own, other) for other in analyses], *(errors(one, analyses) for one in results)]
         columns.append([own_error(complete[key], sounds[key], fitted[key], other) for other in others])
-        velocities = ", ".join(f"{one.fit.reference.v_H0:.2f}" for one in results)
+        velocities = ", ".join(f"{one.fit.reference.stroke_value:.2f}" for one in results)
         for i, found in zip(others, np.transpose(columns).tolist(), strict=True):
             rows.append({"key": key, "file": files[i].name} | dict(zip(COLUMNS, found, strict=True)))
             print(f"{files[i].stem:28}" + "".join(f"{x:10.2f}" for x in found) + f"   {velocities}", flush=True)

@@ -111,7 +111,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
         note = result.predict(analyses[wanted]).note
         given = "the target's partial levels, for its velocity, and its gain"
     else:
-        own = next(row.v_H0 for row in result.fit.recordings if f"-{steps[0]}." in row.file)
+        own = next(row.stroke_value for row in result.fit.recordings if f"-{steps[0]}." in row.file)
         note = result.note.with_velocity(own * float(np.exp(RISE * steps[1])))
         given = "the target's MIDI velocity, and its gain"
     stroke, key = note.strike(rate), modal_response_of(result)

@@ -28,14 +28,16 @@ def fit_dict(**values: object) -> dict:
     criterion = {"bands": {"global": {"initial": 1.0, "final": 0.1}}, "excluded_bands": [], "sigma": 30, "borders": []}
     levels = {"initial_db": 9.0, "fitted_db": 1.0, "reference_hammer_db": None, "partials": 1}
     row = {
-        "file": "a.wav", "sha256": "0" * 64, "channel": "mono", "rate": 44100, "onset_s": 0.0, "v_H0": 0.8, "gain": 1.0,
-        "v_H0_interval": None, "v_H0_status": "fitted", "v_H0_initial": 0.8, "note": None, "gain_status": "fitted",
+        "file": "a.wav", "sha256": "0" * 64, "channel": "mono", "rate": 44100, "onset_s": 0.0, "stroke_value": 0.8,
+        "gain": 1.0,
+        "stroke_interval": None, "stroke_status": "fitted", "stroke_initial": 0.8, "note": None,
+        "gain_status": "fitted",
         "is_reference": True, "pitch_offset_cents": 0.0, "path_group": 0, "stroke": 0, "criterion": criterion,
         "levels": levels, "partials": {n: [1.0] for n in ("number", "measured", "error", "initial", "fitted")},
     }  # fmt: skip
     numbers = ("f0", "B", "f1", "reference_compression_mm", "glide_cents")
     return {
-        "schema": 7, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 8, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "", "warnings": [], "invariants": {}, "minima": [], "criterion": criterion,
         "parameters": {name: {"value": value, "initial": 1.0, **facts} for name, value in values.items()},

@@ -138,8 +138,9 @@ def fit_document(
     levels, one = LevelErrors(2.0, 1.2, None, 1), np.ones(1)
     recordings = [
         RecordingFit(
-            file=f"{v}.wav", sha256=str(i), channel="average", rate=RATE, onset_s=0.1, v_H0=v, v_H0_interval=None,
-            v_H0_status="scaled", v_H0_initial=None, note=None, gain=note.gain, gain_status="fitted",
+            file=f"{v}.wav", sha256=str(i), channel="average", rate=RATE, onset_s=0.1, stroke_value=v,
+            stroke_interval=None,
+            stroke_status="scaled", stroke_initial=None, note=None, gain=note.gain, gain_status="fitted",
             is_reference=v == velocities[-1], pitch_offset_cents=0.0, path_group=0, stroke=i, criterion=criterion,
             levels=levels, partials=PartialLevels(one, one, one, one, one),
         )

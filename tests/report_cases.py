@@ -135,7 +135,7 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
 def example_result(fit: Fit | None = None, recordings: tuple[FittedRecording, ...] = (), **sizes: Any) -> Result:
     """Return a result with this fit, and with the recordings, which are made with `sizes` if none are given."""
     fit = fit or example_fit()
-    sizes = {"velocities": tuple(row.v_H0 for row in fit.recordings)} | sizes
+    sizes = {"velocities": tuple(row.stroke_value for row in fit.recordings)} | sizes
     recordings = recordings or example_recordings(**sizes)
     notes = tuple(fitted.final.note for fitted in recordings)
     return Result(fit, recordings, (notes,) * max(len(fit.minima), 1))
@@ -193,7 +193,7 @@ def example_content() -> dict[str, Any]:
     k = np.arange(1, COUNT + 1)
     path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
     return {
-        "schema": 7, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
+        "schema": 8, "program": "pianofit", "kind": "fit", "recipe": "default", "felt": "hunt-crossley", "seed": 0,
         "converged": True,
         "identifiability_statement": "One uncalibrated recording does not determine the felt. A smooth unknown output "
         "path with a hammer from the literature explains these levels as well.",
@@ -221,7 +221,8 @@ def example_content() -> dict[str, Any]:
         },
         "recordings": [{
             "file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "channel": "left", "rate": 44100, "onset_s": ONSET_S,
-            "v_H0": 4.0, "v_H0_interval": [1.6, 10.0], "v_H0_status": "scaled", "v_H0_initial": 4.0, "note": None,
+            "stroke_value": 4.0, "stroke_interval": [1.6, 10.0], "stroke_status": "scaled", "stroke_initial": 4.0,
+            "note": None,
             "gain": 0.0123, "gain_status": "fitted", "is_reference": True, "pitch_offset_cents": 0.0, "path_group": 0,
             "stroke": 0, "criterion": criterion, "levels": levels, "partials": levels_content(),
         }],
@@ -252,7 +253,7 @@ def content_of_recordings(count=3, velocities=(3.2, 0.6, 1.5)) -> dict[str, Any]
     velocities = [*velocities, *(4.0 + i for i in range(count))][:count]
     content["recordings"] = [
         template | {
-            "file": f"/a folder/recording-{i}.flac", "v_H0": v, "v_H0_interval": [0.9 * v, 1.1 * v],
+            "file": f"/a folder/recording-{i}.flac", "stroke_value": v, "stroke_interval": [0.9 * v, 1.1 * v],
             "is_reference": i == 1, "pitch_offset_cents": -0.5 * i, "path_group": i % 2, "stroke": i - 1,
             "levels": template["levels"] | {"initial_db": 9.0, "fitted_db": 1.0 + 0.1 * i},
             "partials": levels_content(offset=-3.0 * i),
@@ -282,7 +283,7 @@ def minimum(weight, above):
     parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
     return {
         "weight": weight, "negative_log_posterior": -120.5 + above, "parameters": parameters,
-        "velocities": [4.0, 2.0, 4 / 3], "path_db": None, "path_velocity_discrepancy": None,
+        "stroke_values": [4.0, 2.0, 4 / 3], "path_db": None, "path_velocity_discrepancy": None,
     }  # fmt: skip
 
 

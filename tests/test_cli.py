@@ -337,12 +337,12 @@ def test_fit_writes_what_it_promises(fitted):
 def test_a_recording_is_named_with_the_channel_that_was_taken():
     (row,) = example_fit().recordings
     row = replace(row, file="far/a.wav", channel="left")
-    assert _recording_line(row).startswith("a.wav (left) (the reference): 4 m/s")
-    assert _recording_line(replace(row, channel="average")).startswith("a.wav (the reference): 4 m/s")
+    assert _recording_line(row, "m/s").startswith("a.wav (left) (the reference): 4 m/s")
+    assert _recording_line(replace(row, channel="average"), "m/s").startswith("a.wav (the reference): 4 m/s")
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
-    velocity = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))["recordings"][0]["v_H0"]
+    velocity = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))["recordings"][0]["stroke_value"]
     out = fitted / "again.wav"
     run("render", fitted / "out" / "fit.json", "--velocity", repr(velocity), "--seconds", 1.5, "--out", out)
     (again, rate), (first, _) = soundfile.read(out), soundfile.read(fitted / "out" / "fitted.wav")

@@ -136,7 +136,7 @@ def test_one_assumption_of_both_is_comparable_and_two_are_not():
 
 def test_an_unmeasured_velocity_is_not_compared():
     scaled = changed(v_H0="scaled", mu="scaled", felt_force="scaled")
-    fit = with_row(scaled.fit, gain_status="fitted", v_H0_status="scaled")
+    fit = with_row(scaled.fit, gain_status="fitted", stroke_status="scaled")
     scaled = dataclasses.replace(scaled, fit=fit)
     found = pianofit.compare(fitted(), scaled)
     for q in found:

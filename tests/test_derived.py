@@ -208,7 +208,7 @@ def test_where_the_felt_is_not_identified_nothing_that_rests_on_it_is():
 
 def test_an_open_scale_of_velocities_is_in_forces_and_in_no_time():
     result = calibrated()
-    row = replace(result.fit.reference, gain_status="fitted", v_H0_status="scaled")
+    row = replace(result.fit.reference, gain_status="fitted", stroke_status="scaled")
     cov = result.fit.covariance
     change = np.array([float(name == "v_H0") for name in cov.names])  # log s ~ N(0, 0.1²)
     change[cov.names.index("K_H")], change[cov.names.index("mu")] = 1 - result.parameters.p.value, -1.0

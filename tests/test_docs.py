@@ -19,7 +19,8 @@ from pianofit.modal_response import modal_response_of
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.fit import FIT_SCHEMA
 from pianofit.schema.modal_response import ModalResponseEntry
-from pianofit.setup import KEYS, PICKUPS, RANGES, Setup
+from pianofit.setup import KEYS, RANGES, Setup
+from pianofit.transducer import QUANTITIES
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -144,7 +145,7 @@ def test_the_setups_shown_can_be_read(tmp_path):
     for block in shown:
         path = tmp_path / "setup.toml"
         path.write_text(block, encoding="utf-8")
-        assert Setup.from_toml(path).pickup_quantity in PICKUPS
+        assert Setup.from_toml(path).pickup_quantity in QUANTITIES
 
 
 def missing(shown: Any, real: Any, where: str = "") -> list[str]:
@@ -180,7 +181,7 @@ CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re
 def test_every_constant_of_the_table_is_in_the_code():
     """By name: a constant that goes takes its row with it, and every row can be measured."""
     room = ROOT / "src" / "pianofit"
-    files = [file for part in ("inference", "analysis", "felt") for file in (room / part).glob("*.py")]
+    files = [file for part in ("inference", "analysis", "felt", "excitation") for file in (room / part).glob("*.py")]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
     names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))

@@ -200,7 +200,7 @@ def test_invariants_need_no_measured_velocity():
     invariants, g = found.invariants, FIRST.geometry
     pressed = float(invariants["F/M_S"].note.split(" at ")[1].split(" mm")[0]) / 1e3
     # Fitted velocities are scaled by a common factor, and so are compressions and forces.
-    scale = next(t.v_H0 for t in found.fit.recordings if t.is_reference) / VELOCITIES[2]
+    scale = next(t.stroke_value for t in found.fit.recordings if t.is_reference) / VELOCITIES[2]
     true = {
         "f0": FIRST.f0,
         "B": (FIRST.string.kappa * np.pi / (FIRST.string.c * g.length)) ** 2,
@@ -223,7 +223,7 @@ def test_invariants_need_no_measured_velocity():
     low, high = found.parameters["v_H0"].interval
     assert np.log(high / low) > 1.0
     states = {name: p.status for name, p in found.parameters.items()}
-    assert {t.v_H0_status for t in found.fit.recordings} == {"scaled"}
+    assert {t.stroke_status for t in found.fit.recordings} == {"scaled"}
     assert states["K_H"] == states["mu"] == "scaled"
     assert states["p"] == "fitted"
     assert "No hammer velocity was measured" in found.identifiability_statement

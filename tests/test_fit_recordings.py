@@ -66,7 +66,7 @@ def test_every_recording_is_shown_with_its_own():
     found = path_fit(SEVERAL).fit
     assert [row.file for row in found.recordings] == FILES
     assert [row.is_reference for row in found.recordings] == [False, False, True]
-    assert [row.v_H0_status for row in found.recordings] == ["fitted", "fitted", "given"]
+    assert [row.stroke_status for row in found.recordings] == ["fitted", "fitted", "given"]
     assert (found.parameters["v_H0"].value, found.parameters["v_H0"].status) == (3.2, "given")
     assert found.identifiability_statement.startswith("3 uncalibrated recordings of one key")
     for row in found.recordings:
@@ -80,7 +80,7 @@ def test_the_order_of_files_changes_nothing():
     recordings, analyses = through(SEVERAL)
     first = path_fit(SEVERAL).fit
     other = fit_recordings(recordings[::-1], analyses[::-1], strokes_of(SEVERAL)).fit
-    velocities = [[row.v_H0 for row in found.recordings] for found in (first, other)]
+    velocities = [[row.stroke_value for row in found.recordings] for found in (first, other)]
     assert [t.file for t in other.recordings] == FILES[::-1]
     # The order of strokes changes the random samples of the search, which stops when F gains less than a thousandth.
     assert velocities[1] == pytest.approx(velocities[0][::-1], rel=2e-3)
@@ -184,7 +184,7 @@ def test_one_velocity_has_no_velocity_discrepancy():
 @pytest.mark.slow
 def test_cross_validation_beats_the_nearest_layer():
     found = cross_validate(*through(SEVERAL)[0], setup=strokes_of(SEVERAL), f0=FIRST.f0)
-    assert found.result.fit.recordings[0].v_H0 == pytest.approx(found.recordings[0].v_H0)
+    assert found.result.fit.recordings[0].stroke_value == pytest.approx(found.recordings[0].stroke_value)
     assert [row.has_neighbours for row in found.recordings] == [False, True, False]
     middle = found.recordings[1]
     assert middle.predicted_db == found.median_inner_db == found.worst_inner_db
@@ -208,7 +208,7 @@ def test_a_string_that_was_tenser_when_it_was_struck():
         replace(record(hard, seed=2, glide_cents=6.0, glide_seconds=0.5), path="hard"),
     ]
     found = fit_recordings(recordings, [analyse(r, f0=FIRST.f0) for r in recordings], setup_of(FIRST)).fit
-    np.testing.assert_allclose([row.v_H0 for row in found.recordings], [1.4, 4.0], rtol=3e-3)
+    np.testing.assert_allclose([row.stroke_value for row in found.recordings], [1.4, 4.0], rtol=3e-3)
     assert found.parameters["M_H"].value == pytest.approx(FIRST.hammer.M_H, rel=2e-3)
     assert found.diagnostics.excess_sd.level_db < 0.05
 

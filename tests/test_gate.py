@@ -65,10 +65,10 @@ def test_the_truth_is_found_and_intervals_reach_it(case, by):
 @pytest.mark.parametrize("case", ["several", "microphones"])
 def test_velocities_that_were_not_measured_are_found(case, by):
     for row, (stroke, _) in zip(fit(case, by).fit.recordings, STROKES[case], strict=True):
-        error = np.log(row.v_H0 / VELOCITIES[stroke])
+        error = np.log(row.stroke_value / VELOCITIES[stroke])
         assert abs(error) < VELOCITY
-        if row.v_H0_status == "fitted":
-            low, high = row.v_H0_interval
+        if row.stroke_status == "fitted":
+            low, high = row.stroke_interval
             assert abs(error) < FAR * np.log(high / low) / 3.92
 
 

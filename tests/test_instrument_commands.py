@@ -199,13 +199,16 @@ def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, m
 def test_a_hostile_fit_is_refused(tmp_path):
     good = fit_document(true_note(60), ERRORS)
     for change, message in (
-        ({"recordings": [good["recordings"][0] | {"v_H0": "fast"}]}, r"recordings\[0\].v_H0 = 'fast' must be a number"),
-        ({"recordings": [good["recordings"][0] | {"v_H0": -1.0}]}, r"recordings\[0\] has v_H0 = -1 m/s"),
+        (
+            {"recordings": [good["recordings"][0] | {"stroke_value": "fast"}]},
+            r"recordings\[0\].stroke_value = 'fast' must be a number",
+        ),
+        ({"recordings": [good["recordings"][0] | {"stroke_value": -1.0}]}, r"recordings\[0\] has v_H0 = -1 m/s"),
         ({"recordings": [good["recordings"][0] | {"gain": 0.0}]}, r"recordings\[0\] has .* gain = 0"),
     ):
         with pytest.raises(FitError, match=message):
             load_keys([write_fit(tmp_path, 60, good | change)])
-    for entry, value in (("velocities", []), ("velocities", [-1.0]), ("parameters", {})):
+    for entry, value in (("stroke_values", []), ("stroke_values", [-1.0]), ("parameters", {})):
         odd = copy.deepcopy(good)
         odd["minima"][0][entry] = value
         with pytest.raises(FitError, match=r"minima\[0\]"):

@@ -222,7 +222,8 @@ def test_what_goes_wrong_leaves_nothing_behind(tmp_path):
 @pytest.mark.parametrize(("options", "message"), [
     ({"layers": 0}, "layers=0 must be from 1 to 127"), ({"layers": 128}, "layers=128"),
     ({"rate": 10}, "rate=10 Hz"),
-    ({"peak_db": 1.0}, "peak_db=1.0"), ({"trim_db": 5.0}, "trim_db=5.0"), ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
+    ({"peak_db": 1.0}, "peak_db=1.0"), ({"trim_db": 5.0}, "trim_db=5.0"),
+    ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
     ({"kind": "mp3"}, "samples='mp3'"), ({"keys": [20]}, "key 20"),
     ({"keys": list(range(21, 109)), "layers": 100}, "more than 40,000 s"),
 ])  # fmt: skip

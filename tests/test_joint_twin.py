@@ -33,7 +33,7 @@ def errors(results: dict[int, Result]) -> np.ndarray:
     rows = []
     for midi, result in results.items():
         true = quantities(true_note(midi), midi, VELOCITY)
-        found = quantities(result.note, midi, result.fit.reference.v_H0)
+        found = quantities(result.note, midi, result.fit.reference.stroke_value)
         rows.append([found[name] - true[name] for name in COMPARED])
     return np.array(rows)
 

@@ -148,7 +148,7 @@ def test_a_fit_computes_the_knock_that_the_note_has(levelled):
 def test_velocities_of_levelled_layers_are_those_of_their_knocks(levelled):
     sounds, analyses = levelled
     fit = pianofit.fit(*sounds, analyses=analyses, progress=False)
-    found = np.log([own.v_H0 for own in fit.fit.recordings])
+    found = np.log([own.stroke_value for own in fit.fit.recordings])
     np.testing.assert_allclose(np.diff(found), np.diff(np.log([0.6, 1.4, 3.2])), atol=0.15)
 
 

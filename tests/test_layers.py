@@ -30,28 +30,30 @@ USES = {
     "key_prior": "",
     "parameters": "io",
     "recording": "dsp io",
+    "excitation": "io parameters",
+    "transducer": "",
     "monotone_cubic": "",
     "sobol": "",
     "x64": "io parameters threads",
     "analysis": "dsp io recording",
     "criterion": "analysis",
     "literature": "analysis monotone_cubic parameters",
-    "felt": "io literature parameters x64",
-    "model": "deferred dsp felt io parameters x64",
-    "setup": "felt io key_prior parameters",
-    "schema": "felt io key_prior model parameters",
-    "inference": "analysis dsp felt io key_prior literature model parameters progress recording setup sobol threads"
-    " x64",
-    "synthetic": "felt io literature model parameters recording setup",
-    "result": "analysis criterion deferred dsp felt inference io literature model parameters progress recording schema"
-    " setup sobol threads",
-    "modal_response": "analysis dsp model recording result schema threads",
+    "felt": "excitation io literature parameters x64",
+    "model": "deferred dsp excitation felt io parameters transducer x64",
+    "setup": "excitation felt io key_prior parameters transducer",
+    "schema": "excitation felt io key_prior model parameters transducer",
+    "inference": "analysis dsp excitation felt io key_prior literature model parameters progress recording setup sobol"
+    " threads transducer x64",
+    "synthetic": "felt io literature model parameters recording setup transducer",
+    "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress"
+    " recording schema setup sobol threads transducer",
+    "modal_response": "analysis dsp felt model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
-    "report": "analysis dsp felt io modal_response model parameters result schema",
+    "report": "analysis dsp excitation felt io modal_response model result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
     "batch": "analysis fitting instrument io model parameters recording report schema threads",
-    "instrument": "analysis dsp felt io key_prior literature model parameters report schema",
+    "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
     "dataset": "analysis batch felt inference instrument io literature model parameters progress schema",
     "playback": "dsp felt instrument io literature model parameters threads",
@@ -59,8 +61,8 @@ USES = {
     "mend": "analysis batch dsp instrument io modal_response model recording schema",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
-    "cli": "analysis batch bensa2005 dataset export felt fitting instrument io listening literature mend model"
-    " parameters playback progress recording report result schema setup synthetic threads tuner web",
+    "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io listening literature mend"
+    " model parameters playback progress recording report result schema setup synthetic threads transducer tuner web",
     "__main__": "cli",
 }
 EVERYWHERE = {"conversions", "errors"}

@@ -38,11 +38,11 @@ def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
 
 def test_the_shared_velocity_is_found_and_shown_alike():
     rows = path_fit(MICROPHONES).fit.recordings
-    np.testing.assert_allclose([row.v_H0 for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
+    np.testing.assert_allclose([row.stroke_value for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
     one, other = rows[1], rows[3]
-    for name in ("v_H0", "v_H0_interval", "v_H0_status", "stroke"):
+    for name in ("stroke_value", "stroke_interval", "stroke_status", "stroke"):
         assert getattr(one, name) == getattr(other, name)
-    assert one.v_H0_interval[0] < one.v_H0 < one.v_H0_interval[1]
+    assert one.stroke_interval[0] < one.stroke_value < one.stroke_interval[1]
     assert [row.stroke for row in rows].count(one.stroke) == 2
     assert one.path_group != other.path_group
     assert one.levels.fitted_db < 0.2 > other.levels.fitted_db
@@ -80,7 +80,7 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     found = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).fit
     assert found.identifiability_statement.startswith("2 uncalibrated recordings do not determine")
     assert {found.parameters[n].status for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
-    assert found.recordings[0].v_H0 == found.recordings[1].v_H0
+    assert found.recordings[0].stroke_value == found.recordings[1].stroke_value
 
 
 def some_of(result: Result, which: list[int]) -> Result:
@@ -117,7 +117,7 @@ def test_leaving_a_recording_out_leaves_out_its_stroke(monkeypatch):
     assert [row.file for row in found.recordings if row.has_neighbours] == ["1-close.wav"]
     assert middle.predicted_db == found.median_inner_db < 0.5 * middle.nearest_db
     # The other microphone recorded no other stroke, so its path and its levels are unknown.
-    assert lone == LeftOutRecording("1-room.wav", lone.v_H0, None, None, None, None, None, False)
+    assert lone == LeftOutRecording("1-room.wav", lone.stroke_value, None, None, None, None, None, False)
     (message,) = found.warnings
     assert "1-room.wav" in message
     assert message in (printed := _left_out_table(found))

@@ -119,7 +119,7 @@ def test_missing_levels_and_initial_values_are_named(made):
     (row,) = document["recordings"]
     with pytest.raises(FitError, match=r"recordings\[0\]\.partials = None must be a table"):
         pianofit.Result.load(copied(folder, "incomplete", document | {"recordings": [{**row, "partials": None}]}))
-    row["v_H0_initial"] = None
+    row["stroke_initial"] = None
     back = pianofit.Result.load(copied(folder, "incomplete", document))
     with pytest.raises(FitError, match="initial v_H0"):
         back.plot.force()

@@ -370,7 +370,7 @@ def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path):
     content = example_content()
     for entry in content["parameters"].values():
         entry |= {"interval": None}
-    content["recordings"][0]["v_H0_interval"] = None
+    content["recordings"][0]["stroke_interval"] = None
     levels = content["levels"] | {"reference_hammer_db": None}
     fit = example_fit(content, recipe="paper", invariants={}, levels=levels)
     text = Page(written(tmp_path, fit)).text

@@ -216,7 +216,7 @@ def test_figure_of_identifiability_stands_any_numbers(monkeypatch, correlation, 
 def test_page_stands_predictions_that_failed():
     held_out = example_held_out()
     first, *others = held_out.recordings
-    missing = dict.fromkeys(("predicted_v_H0", "predicted_db", "partials", "nearest_db", "blend_db"))
+    missing = dict.fromkeys(("predicted_stroke_value", "predicted_db", "partials", "nearest_db", "blend_db"))
     rows = (replace(first, **missing), *others)
     failed = replace(held_out, recordings=rows, median_inner_db=None, worst_inner_db=None)
     assert "three recordings" in written(held_out=failed)
@@ -402,7 +402,7 @@ def test_what_is_fixed_and_what_is_not_is_said():
     assert set(sections) == {DETERMINED}
 
 
-@pytest.mark.parametrize("known", ["gain_status", "v_H0_status"])
+@pytest.mark.parametrize("known", ["gain_status", "stroke_status"])
 def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     content = content_of_recordings()
     content["parameters"]["v_H0"] |= {"status": "fitted"}
@@ -412,7 +412,7 @@ def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     assert "Hammer velocities (the least certain ± 10 %)" in sections[DETERMINED]
     assert "common scale" not in " ".join(sections.values())
     for recording in content["recordings"]:
-        recording["v_H0_status"] = "not-identifiable"
+        recording["stroke_status"] = "not-identifiable"
     assert "Hammer velocities" not in " ".join(sections_of(content).values())
 
 

@@ -12,13 +12,12 @@ from scipy.signal import lfilter
 
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
+from pianofit.excitation.hammer import FINE_VELOCITIES, VELOCITIES
 from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
 from pianofit.inference.batched_model import LevelModel
 from pianofit.inference.estimate import fit_string, refine_minima
 from pianofit.inference.laplace import laplace
 from pianofit.inference.multistart import (
-    FINE_VELOCITIES,
-    VELOCITIES,
     deduplicate,
     initial_hyperparameters,
     multistart,
@@ -285,7 +284,7 @@ def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
     assert np.exp(one.theta[at]) == pytest.approx(bound, rel=1e-9)
     document = build_result(InferenceResult(bounded, one, 0, None)).fit
     assert document.parameters["v_H0"].status == "at-bound"
-    assert document.recordings[0].v_H0_status == "at-bound"
+    assert document.recordings[0].stroke_status == "at-bound"
     assert any("bound" in said and "v_H0" in said for said in document.warnings)
 
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from pianofit.errors import SetupError
 from pianofit.felt import ALL_PARAMETERS, LAWS
 from pianofit.io.files import printable
-from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, recording_info_for
+from pianofit.setup import KEYS, RANGES, RecordingInfo, Setup, recording_info_for
+from pianofit.transducer import QUANTITIES, TRANSDUCERS
 
 FULL = """
 # The experiment of the paper.
@@ -79,11 +80,11 @@ def test_numbers_may_be_integers_and_become_floats():
     assert [type(value) for value in (setup.length, setup.fixed["p"], *setup.bounds["c"])] == [float] * 4
 
 
-@pytest.mark.parametrize("quantity", PICKUPS)
+@pytest.mark.parametrize("quantity", QUANTITIES)
 def test_every_pickup_has_one_complete_form(quantity):
     pickup = {"quantity": quantity}
-    pickup |= {"position": 0.3} if quantity in ("velocity", "displacement") else {}
-    pickup |= {} if quantity == "pressure" else {"scale": 0.5}
+    pickup |= {"position": 0.3} if TRANSDUCERS[quantity].on_string else {}
+    pickup |= {} if TRANSDUCERS[quantity].unknown_path else {"scale": 0.5}
     setup = Setup.from_dict({"pickup": pickup}, "here")
     assert (setup.pickup_quantity, setup.pickup_position, setup.pickup_scale) == (
         quantity,

@@ -18,7 +18,7 @@ SHARED = 3  # parameters before the velocities
 def test_what_stands_on_what_has_no_circle_and_ends_at_parts_of_the_model_or_parameters():
     tuple(graphlib.TopologicalSorter(STANDS_ON).static_order())
     ends = {below for name in STANDS_ON for below in foundations(name)} - STANDS_ON.keys()
-    assert ends == {FELT, CONTACT, VELOCITIES, "c", "kappa", "x0"}
+    assert ends == {FELT, CONTACT, VELOCITIES, "c", "kappa", "x0", "pickup", "width"}
 
 
 @pytest.mark.parametrize(

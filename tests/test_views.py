@@ -97,7 +97,7 @@ def test_invariants_are_those_of_the_view():
             np.testing.assert_allclose(invariants[name].interval, ends, rtol=1e-12)
             assert invariants[name].interval_method == "profile"
     assert invariants["B"].interval_method == "laplace"
-    assert fit.reference.v_H0_interval == table["v_H0"].interval
+    assert fit.reference.stroke_interval == table["v_H0"].interval
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -27,6 +27,7 @@ __all__ += [
     "Hammer",
     "SoftHammer",
     "RelaxingHammer",
+    "Pluck",
     "Geometry",
     "PARAMETERS",
     "Preset",
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
         SetupError,
         WrongNoteError,
     )
+    from .excitation import Pluck
     from .export import ExportOptions, ExportSummary, export_sampler
     from .export.faust import FaustSummary, write_faust
     from .felt import FeltLaw, RelaxingHammer, SoftHammer
@@ -140,6 +142,7 @@ _MODULES = {
     "result.derived": ("DerivedQuantity", "ModelDraw"),
     "result.cross_validation": ("CrossValidation", "LeftOutRecording", "cross_validate"),
     "result.prediction": ("Prediction", "predict_recording"),
+    "excitation": ("Pluck",),
     "felt": ("FeltLaw", "RelaxingHammer", "SoftHammer"),
     "model": (
         "Modes",

@@ -208,6 +208,8 @@ def check_start(
 def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None, velocity: float | None) -> Setup:
     """Read the setup in any form. Raise a `SetupError` for a measured `velocity`, m/s, outside its bounds."""
     setup = to_setup(setup)
+    if velocity is not None and not setup.law.has_contact:
+        raise ParameterError(f"velocity={velocity} m/s: a {setup.law.kind} has no hammer velocity; leave it out")
     low, high = setup.bounds.get("v_H0", (0.0, math.inf))
     if velocity is not None and not low <= velocity <= high:
         raise SetupError(

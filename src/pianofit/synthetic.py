@@ -22,7 +22,8 @@ from .model.note import MAX_SECONDS, check_render
 from .model.simulate import MAX_STEPS
 from .parameters import Geometry, String, check_seed
 from .recording.recording import Recording, recording_from_samples
-from .setup import RANGES, SETUP_KEYS, STRING_PICKUPS, Measured, RecordingInfo, Setup
+from .setup import RANGES, SETUP_KEYS, Measured, RecordingInfo, Setup
+from .transducer import ON_STRING, TRANSDUCERS
 
 # s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
@@ -81,7 +82,7 @@ def synthetic_recording(
     Parameters
     ----------
     string, geometry : string and geometry in SI units. `geometry` has the strike position and the pickup position.
-    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`, or a `Pluck`.
     rate : Hz.
     seconds : length of the sound, s. The first 0.06 s of it are silent.
     quantity : what the pickup records: velocity, displacement, bridge-force or pressure.
@@ -188,10 +189,12 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
         strike_position=strike,
         strike_width=width,
         pickup_quantity=quantity,
-        pickup_position=pickup if quantity in STRING_PICKUPS else None,
-        pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
+        pickup_position=pickup if quantity in ON_STRING else None,
+        # An unknown output path has no scale, and the size of a pluck is unknown.
+        pickup_scale=None if TRANSDUCERS[quantity].unknown_path or not law.has_contact else scale,
         recordings=(RecordingInfo(file=name),),
-        felt=law.name if law.hammers is not None else law,
+        felt=None if not law.has_contact else law.name if law.hammers is not None else law,
+        excitation=law.kind,
     )
 
 
@@ -200,6 +203,8 @@ def setup_text(setup: Setup) -> str:
     tables: dict[str, list[str]] = {}
     for attribute, (table, key) in SETUP_KEYS.items():
         value = setup.law.name if attribute == "felt" else getattr(setup, attribute)
+        if (attribute == "felt") != setup.law.has_contact and attribute in ("felt", "excitation"):
+            continue  # a file names the felt law of a hammer, or another excitation
         if value is not None:
             unit = f"  # {UNITS[key]}" if key in UNITS else ""
             tables.setdefault(table, []).append(f"{key} = {_toml(value)}{unit}")

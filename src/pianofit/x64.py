@@ -221,7 +221,10 @@ def _is_tuple_of(*fields: str, kind: type = tuple) -> Callable[[Any], bool]:
 KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "string": (_is_tuple_of(kind=String), "a String of numbers"),
     "geometry": (_is_tuple_of(kind=Geometry), "a Geometry of numbers"),
-    "hammer": (_is_tuple_of("v_H0"), "a Hammer, a SoftHammer, a RelaxingHammer or a hammer of a FeltLaw, of numbers"),
+    "hammer": (
+        lambda value: _is_tuple_of("v_H0")(value) or _is_tuple_of("force")(value),
+        "a Hammer, a SoftHammer, a RelaxingHammer, a hammer of a FeltLaw or a Pluck, of numbers",
+    ),
     "modes": (_is_tuple_of("omega2", "pole"), "a table of modes, as mode_table returns it"),
     "free": (_is_tuple_of("amplitude", "energy"), "a free motion, as pluck returns it"),
     "sigma": (is_numeric, "a number"),

@@ -10,7 +10,7 @@ import contextlib
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,9 +22,10 @@ from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.recording import check_channel
-from ..setup import Setup
+from ..setup import SETUP_KEYS, Setup
 from ..threads import cores
-from .options import Channel, Json, Seed, choice, number, whole
+from .fits import setup_of_options
+from .options import Channel, Excitation, Json, Quantity, Seed, choice, number, whole
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -84,6 +85,8 @@ def batch(
         Path | None,
         typer.Option(metavar="SETUP.TOML", help="Setup for all keys, without [[recording]]."),
     ] = None,
+    excitation: Excitation = None,
+    quantity: Quantity = None,
     channel: Channel = "average",
     seed: Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
@@ -139,7 +142,7 @@ def batch(
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        jobs = _jobs(manifest, keys, _settings(setup, channel, seed, page, joint))
+        jobs = _jobs(manifest, keys, _settings(setup, excitation, quantity, channel, seed, page, joint))
         for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
@@ -150,7 +153,8 @@ def batch(
             make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
             run = run_joint_batch if joint else run_batch
             result = run(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
-        print_result(asdict(result), _summary(result), as_json)
+        is_playable = setup_of_options(setup, None, excitation, quantity, None).law.has_contact
+        print_result(asdict(result), _summary(result, is_playable), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
 
@@ -173,11 +177,22 @@ def _check(workers: int | None, memory: float, time_limit: float, seed: int, cha
     check_channel(channel)
 
 
-def _settings(setup: Path | None, channel: str, seed: int, page: bool, joint: bool) -> Settings:
+def _settings(
+    setup: Path | None,
+    excitation: str | None,
+    quantity: str | None,
+    channel: str,
+    seed: int,
+    page: bool,
+    joint: bool,
+) -> Settings:
     """Settings that all keys share. The setup is checked and included as text."""
     from ..batch import Settings
 
-    text = ""
+    options = setup_of_options(setup, None, excitation, quantity, None)
+    if joint and not options.law.has_contact:
+        raise SetupError(f"--joint has no prior for a {options.excitation}; leave it out")
+    text = "".join(_option_tables(setup, {"excitation": excitation, "pickup_quantity": quantity}))
     if setup is not None:
         given = Setup.from_toml(setup)
         if given.recordings:
@@ -186,8 +201,20 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool, joint: bo
             )
         if joint and given.prior is not None:
             raise SetupError(f"{printable(setup)}: has a [prior], which --joint computes for every key; remove one")
-        text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
+        text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n" + text
     return Settings(seed, channel, page, text)
+
+
+def _option_tables(setup: Path | None, options: Mapping[str, str | None]) -> Iterator[str]:
+    """Yield the tables of a setup for the options that the file does not have."""
+    own = Setup() if setup is None else Setup.from_toml(setup)
+    for name, value in options.items():
+        if value is None or getattr(own, name) == value:
+            continue
+        table, key = SETUP_KEYS[name]
+        if any(getattr(own, other) != getattr(Setup(), other) for other, (t, _) in SETUP_KEYS.items() if t == table):
+            raise SetupError(f'{printable(setup or "")}: has a table [{table}]; add {key} = "{value}" there')
+        yield f'[{table}]\n{key} = "{value}"\n'
 
 
 def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
@@ -293,7 +320,7 @@ def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_js
     print_result({"keys": rows, "unread": [asdict(file) for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
-def _summary(result: Status) -> str:
+def _summary(result: Status, playable: bool = True) -> str:
     """Summary of all keys for a terminal."""
     count = {state: n for state, n in result.counts.items() if n}
     at_work = ""
@@ -318,5 +345,6 @@ def _summary(result: Status) -> str:
         lines.append(f"also in keys/, from an earlier run: {', '.join(result.strangers[:LISTED])}")
     if count.get("done"):
         lines.append(f"{result.folder}: index.html shows all keys, keys.csv has the numbers, keys/KEY/ has the fit")
-        lines.append(f"play them with: pianofit page {printable(shlex.quote(result.folder))}")
+        if playable:
+            lines.append(f"play them with: pianofit page {printable(shlex.quote(result.folder))}")
     return "\n".join(lines) + "\n"

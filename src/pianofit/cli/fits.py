@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..conversions import HALF_WIDTH_95
-from ..errors import OutputError, ParameterError
+from ..errors import OutputError, ParameterError, SetupError
+from ..excitation import STROKES
 from ..io.files import (
     check_sound_target,
     check_target,
@@ -25,7 +26,7 @@ from ..io.number_format import columns, counted, format_with_interval, with_stan
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
 from ..recording.recording import load_recording, load_recordings, readable_formats
-from ..setup import Setup
+from ..setup import SETUP_KEYS, Setup
 from . import options
 from .options import choice, text, whole
 from .terminal import print_result
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 def analyse(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help=f"A recording of one struck note: {readable_formats()}.")
+        Path, typer.Argument(metavar="FILE", help=f"A recording of one struck or plucked note: {readable_formats()}.")
     ],
     note: options.Note = None,
     f0: options.Pitch = None,
@@ -98,6 +99,9 @@ def fit(
     velocity: options.Velocity = None,
     channel: options.Channel = "average",
     felt: options.Felt = None,
+    excitation: options.Excitation = None,
+    quantity: options.Quantity = None,
+    pickup: options.Pickup = None,
     recipe: Annotated[
         str,
         typer.Option(
@@ -126,7 +130,7 @@ def fit(
     page: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     as_json: options.Json = False,
 ) -> None:
-    """Estimate string and hammer parameters from one or several recordings of a key."""
+    """Estimate string and hammer, or string and pluck, from one or several recordings of a key."""
     from ..model.program_cache import enable_program_cache
 
     check_velocity(velocity)
@@ -135,7 +139,7 @@ def fit(
     with output_folder(out, force) as folder, progress_bar() as progress:
         enable_program_cache()
         given: dict[str, Any] = {
-            "setup": _setup_with_felt(setup, felt),
+            "setup": setup_of_options(setup, felt, excitation, quantity, pickup),
             "note": note,
             "f0": f0,
             "velocity": velocity,
@@ -166,9 +170,27 @@ def _check_recipe(recipe: str, evaluations: int | None, intervals: str, recordin
         raise ParameterError(f"intervals={intervals!r} requires the default recipe; recipe={recipe!r} has no intervals")
 
 
-def _setup_with_felt(setup: Path | None, felt: str | None) -> Setup:
-    """Load the setup, with the felt law of the command line."""
-    return Setup(felt=felt) if setup is None else Setup.from_toml(setup, felt)
+def setup_of_options(
+    path: Path | None, felt: str | None, excitation: str | None, quantity: str | None, pickup: float | None
+) -> Setup:
+    """Load the setup, with the values of the command line.
+
+    Raises
+    ------
+    SetupError
+        If the file and the command line contradict each other, or a value is invalid.
+    """
+    options = {"excitation": excitation, "pickup_quantity": quantity, "pickup_position": pickup}
+    given = {name: value for name, value in options.items() if value is not None}
+    if path is None:
+        return Setup(felt=felt, **given)
+    setup = Setup.from_toml(path, felt)
+    for name, value in given.items():
+        table, key = SETUP_KEYS[name]
+        own = getattr(setup, name)
+        if own != getattr(Setup(), name) and own != value:
+            raise SetupError(f"{printable(path)}: [{table}] {key} = {own} contradicts {value} of the command line")
+    return replace(setup, **given)
 
 
 @dataclass(frozen=True)
@@ -180,8 +202,9 @@ class PredictionReport:
     in_training_set: bool
     predicted_db: float
     partials: int
-    v_H0: float
-    velocity_at_search_limit: bool
+    stroke_parameter: str  # v_H0, m/s, or x0, m
+    stroke_value: float
+    at_search_limit: bool
     gain_db: float
     pitch_offset_cents: float
 
@@ -194,7 +217,7 @@ def predict(
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
-    """Predict a recording that took no part in the fit. Only velocity, gain and pitch are free."""
+    """Predict a recording that took no part in the fit. Only velocity or plucking position, gain and pitch are free."""
     from ..model.program_cache import enable_program_cache
     from ..result import Result
     from ..result.comparison import estimate_contact_onset
@@ -210,11 +233,11 @@ def predict(
         contact = estimate_contact_onset(p.note, strike, sound)
         samples = p.note.render_mono(strike, sound.rate, len(sound.samples), contact)
         write_file(out, encode_wav(samples, sound.rate), force)
-    was_fitted, at_limit = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}, p.velocity_at_search_limit
-    end = ", at the limit of the searched range: the velocity could not be determined" if at_limit else ""
+    was_fitted, at_limit = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}, p.at_search_limit
+    end = f", at the limit of the searched range: {p.stroke.name} could not be determined" if at_limit else ""
     words = (
         f"{p.error_db:.2f} dB over {counted(p.partials, 'partial')}, {p.pitch_offset_cents:+.2f} cents from the fit, "
-        f"at {p.velocity:.3g} m/s{end}\n"
+        f"at {p.stroke.name} = {p.stroke_value:.3g} {p.stroke.unit}{end}\n"
     )
     if was_fitted:
         words += "This recording took part in the fit, so this is not a prediction.\n"
@@ -224,7 +247,8 @@ def predict(
         was_fitted,
         p.error_db,
         p.partials,
-        p.velocity,
+        p.stroke.name,
+        p.stroke_value,
         at_limit,
         p.gain_db,
         p.pitch_offset_cents,
@@ -240,6 +264,9 @@ def cross_validate(
     setup: options.SetupFile = None,
     channel: options.Channel = "average",
     felt: options.Felt = None,
+    excitation: options.Excitation = None,
+    quantity: options.Quantity = None,
+    pickup: options.Pickup = None,
     seed: options.Seed = 0,
     force: options.Force = False,
     as_json: options.Json = False,
@@ -254,7 +281,8 @@ def cross_validate(
         loaded = load_recordings(recordings, channel)
         analyses = analyse_all(loaded, note, f0)
         enable_program_cache()
-        held_out = run(*loaded, setup=_setup_with_felt(setup, felt), seed=seed, progress=progress, analyses=analyses)
+        given = setup_of_options(setup, felt, excitation, quantity, pickup)
+        held_out = run(*loaded, setup=given, seed=seed, progress=progress, analyses=analyses)
         if folder is not None:
             held_out.result.save(folder, force=True, page=False)
             held_out.result.report(folder, held_out=held_out)
@@ -264,12 +292,13 @@ def cross_validate(
 
 def _left_out_table(held_out: CrossValidation) -> str:
     """Prediction errors of recordings that were left out, next to errors of methods without a model."""
-    lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   rms error, dB"]
+    stroke = STROKES[held_out.result.fit.excitation]
+    lines = [f"{'':32}{f'{stroke.name}, {stroke.unit}':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   rms error, dB"]
     for row in held_out.recordings:
         errors = (row.predicted_db, row.nearest_db, row.blend_db)
         predicted, nearest, blend = ("-" if error is None else f"{error:.2f}" for error in errors)
         note = "" if row.has_neighbours else "  (beyond the others)"
-        lines.append(f"{Path(row.file).name:32}{row.v_H0:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
+        lines.append(f"{Path(row.file).name:32}{row.stroke_value:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
     if held_out.median_inner_db is not None:
         errors = f"median {held_out.median_inner_db:.2f} dB, worst {held_out.worst_inner_db:.2f} dB"
         lines.append(f"between the others: {errors}")

@@ -8,8 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
+from ..excitation import NAMES
 from ..felt import LAWS
 from ..recording.recording import readable_formats
+from ..transducer import QUANTITIES
 
 
 def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
@@ -82,6 +84,17 @@ SetupFile = Annotated[
 Sound = Annotated[Path, text("FILE.WAV", "WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[str | None, typer.Option(parser=choice(*LAWS), metavar="LAW", help=f"Felt law: {', '.join(LAWS)}.")]
+Excitation = Annotated[
+    str | None,
+    typer.Option(parser=choice(*NAMES), metavar="KIND", help=f"Excitation of the string: {' or '.join(NAMES)}."),
+]
+Quantity = Annotated[
+    str | None,
+    typer.Option(parser=choice(*QUANTITIES), metavar="QUANTITY", help=f"Recorded quantity: {', '.join(QUANTITIES)}."),
+]
+Pickup = Annotated[
+    float | None, real("M", "Position of a pickup on the string, m from the end that the strike position counts from.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output in --out.")]
 Velocity = Annotated[float | None, real("M/S", "Hammer velocity in m/s.")]
 Seed = Annotated[int, integer("N", "Seed of all random numbers. The same seed gives the same result.")]

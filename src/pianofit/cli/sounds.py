@@ -11,14 +11,12 @@ from ..errors import ParameterError
 from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
-from ..setup import STRING_PICKUPS
+from ..transducer import ON_STRING, TRANSDUCERS
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, real, text
 
 if TYPE_CHECKING:
     from ..literature import Preset
-
-# Units of the recorded quantities. The model represents pressure by the force on the bridge.
-UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
+    from ..model.note import Note
 
 
 def simulate(
@@ -75,7 +73,7 @@ def simulate(
     largest = float(recording.simulation.pulse.force.max())
     typer.echo(
         f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
-        f"full scale {recording.scale:.4g} {UNITS[quantity]}"
+        f"full scale {recording.scale:.4g} {TRANSDUCERS[quantity].unit}"
     )
 
 
@@ -109,9 +107,9 @@ def _apply_changes(preset: Preset, change: list[str], velocity: float | None) ->
 
 def _apply_positions(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
     """Replace strike and pickup position in a geometry."""
-    if pickup is not None and quantity not in STRING_PICKUPS:
+    if pickup is not None and quantity not in ON_STRING:
         raise ParameterError(
-            f"pickup={pickup:g} m: a {quantity} pickup has no position; choose velocity or displacement"
+            f"pickup={pickup:g} m: a {quantity} pickup has no position; choose {' or '.join(ON_STRING)}"
         )
     given = {"strike_position": strike, "pickup": pickup}
     return geometry._replace(**{name: value for name, value in given.items() if value is not None})
@@ -132,13 +130,16 @@ def _assignments(change: list[str]) -> dict[str, float]:
 
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json.")],
-    velocity: Annotated[float, real("M/S", "Hammer velocity in m/s.")],
     out: Sound,
+    velocity: Annotated[float | None, real("M/S", "Hammer velocity in m/s; a hammer needs it.")] = None,
+    position: Annotated[
+        float | None, real("M", "Plucking position, m from the nearer end. Default: as fitted.")
+    ] = None,
     seconds: Seconds = 6.0,
     rate: Annotated[int | None, RATE] = None,
     force: Force = False,
 ) -> None:
-    """Synthesise a fitted note at any velocity, with its gain and output path."""
+    """Synthesise a fitted note at any velocity or plucking position, with its gain and output path."""
     check_sound_target(out, force)
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
@@ -149,11 +150,33 @@ def render(
     note, own_rate = load_note(fit_json)
     rate = own_rate if rate is None else rate
     enable_program_cache()
-    played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
+    played, stroke = _with_stroke(note, velocity, position)
     strike = played.strike(rate)
     samples, gain = limit_peak(
         played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate))
     )
     write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     scaled = f", multiplied by {gain:.3g} to stay below full scale" if gain < 1 else ""
-    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_text(strike)}{scaled}")
+    contact = f", {contact_text(strike)}" if strike.contacts else ""
+    typer.echo(f"{out}: {seconds:g} s at {stroke}{contact}{scaled}")
+
+
+def _with_stroke(note: Note, velocity: float | None, position: float | None) -> tuple[Note, str]:
+    """Return the note with the stroke of the command line, and the stroke in words."""
+    from ..felt import law_of
+    from ..model.simulate import check_geometry
+
+    stroke = law_of(note.hammer).stroke
+    options = {"v_H0": ("--velocity", velocity), "x0": ("--position", position)}
+    option, value = options.pop(stroke.name)
+    for other, given in options.values():
+        if given is not None:
+            raise ParameterError(f"{other} {given:g}: this fit has no such parameter; use {option}")
+    if value is None and stroke.name == "v_H0":
+        raise ParameterError("velocity=: a fitted hammer needs --velocity, m/s")
+    played = note if value is None else note.with_stroke(value)
+    check_geometry(played.geometry, played.quantity)
+    return (
+        played,
+        f"{stroke.name} = {played.stroke_value:.3g} {stroke.unit}" if velocity is None else f"{velocity:g} m/s",
+    )

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any
 
 from ..errors import ParameterError
+from ..excitation import OTHERS, Excitation
 from ..parameters import HAMMER_NAMES, PARAMETERS, Hammer, Parameter, check
 from .hunt_crossley import HUNT_CROSSLEY, POWER
 from .law import COMMON_PARAMETERS, FeltLaw
@@ -46,12 +47,12 @@ DEFAULT_LAW = SOFT_SKIN
 ALL_PARAMETERS: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
 
-def is_builtin(law: FeltLaw) -> bool:
+def is_builtin(law: Excitation) -> bool:
     """Return true if a law belongs to this package, so that its name in a file identifies it."""
-    return LAWS.get(law.name) is law
+    return (LAWS | OTHERS).get(law.name) is law
 
 
-def law_of(hammer: Any) -> FeltLaw:
+def law_of(hammer: Any) -> Any:
     """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0.
 
     Raises
@@ -60,13 +61,13 @@ def law_of(hammer: Any) -> FeltLaw:
         If the argument is not a hammer.
     """
     kind = type(hammer)
-    for law in (getattr(kind, "law", None), *LAWS.values()):
+    for law in (getattr(kind, "law", None), *LAWS.values(), *OTHERS.values()):
         if law is not None and law.hammer_type is kind:
             return law
     raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, SoftHammer, RelaxingHammer, or FeltLaw.hammer")
 
 
-def plain_law(hammer: Any) -> FeltLaw:
+def plain_law(hammer: Any) -> Any:
     """Return the law with the fewest parameters that describes this hammer.
 
     Raises
@@ -96,7 +97,7 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
     check(values, where, ALL_PARAMETERS | law.hammer_parameters)
 
 
-def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltLaw | None = None) -> Any:
+def make_hammer(values: Mapping[str, float], where: str = "argument", law: Excitation | None = None) -> Any:
     """Return a hammer with these `values`: of `law` if given, else with a skin or relaxing if they contain one.
 
     Raises
@@ -104,6 +105,8 @@ def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltL
     ParameterError
         If a value is missing.
     """
+    if law is not None and not law.has_contact:
+        return law.make_hammer(values)
     if law is not None and law.hammers is None:
         if missing := [name for name in law.hammer_parameters if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")

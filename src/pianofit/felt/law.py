@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from keyword import iskeyword
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 from ..errors import ParameterError
-from ..parameters import PARAMETERS, Parameter, check
+from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, STRIKE, VELOCITY_OF_STROKE
+from ..excitation.protocol import Excitation, StrokeParameter, Words
+from ..parameters import PARAMETERS, Geometry, Parameter, check
 
 # Parameters of every hammer, in addition to those of its felt.
 COMMON_PARAMETERS = ("M_H", "v_H0")
@@ -34,7 +36,7 @@ RESERVED_NAMES = {
 
 
 @dataclass(frozen=True, eq=False)
-class FeltLaw:
+class FeltLaw(Excitation):
     """A felt law F(u, u̇) for `strike`, `simulate`, `Note` and `fit`; those of this package are `pianofit.felt.LAWS`.
 
     Parameters
@@ -82,6 +84,12 @@ class FeltLaw:
     hammers: Any = None
     columns: tuple[str, ...] = ()
     formula: tuple[str, ...] = ()
+    kind: ClassVar[str] = "hammer"
+    stroke: ClassVar[StrokeParameter] = VELOCITY_OF_STROKE
+    words: ClassVar[Words] = HAMMER_WORDS
+    gain_deviations: ClassVar[tuple[float, ...]] = GAIN_DEVIATION
+    roughness: ClassVar[tuple[float, float]] = PATH
+    figures: ClassVar[tuple[str, ...]] = ("force", "felt")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
@@ -119,27 +127,19 @@ class FeltLaw:
         """Unit, meaning and bounds of the parameters of a hammer."""
         return {**self.parameters, **{name: PARAMETERS[name] for name in COMMON_PARAMETERS}}
 
-    def parameters_with_unit(self, units: str) -> tuple[str, ...]:
-        """Return the parameters whose unit contains one of `units`, such as "N" or "m"."""
-        pattern = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
-        return tuple(name for name, parameter in self.parameters.items() if pattern.search(parameter.unit))
-
-    def force_exponent(self, name: str) -> float:
-        """Return the exponent with which a parameter scales with forces and masses: that of N and kg in its unit."""
-        upper, *lower = self.parameters[name].unit.split("/")
-        pattern = r"(?<![A-Za-z])(?:N|kg)(?:\^(-?[\d.]+))?(?![A-Za-z^])"
-        total = sum(float(x or 1) for x in re.findall(pattern, upper))
-        return total - sum(float(x or 1) for x in re.findall(pattern, "/".join(lower)))
-
     def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
         """Return the base of the power, m, at compression `u`, m, of a felt with these `values`."""
         return u if self.base is None else self.base(u, SimpleNamespace(**values))
 
-    def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
-        """Return a hammer with these `values`; fields of its type that the law does not have are `absent`."""
-        return self.hammer_type(
-            *(values[name] if name in self.hammer_parameters else absent for name in self.hammer_type._fields)
-        )
+    def typical(self, preset: Geometry, length: float | None) -> Geometry:
+        """Return the sizes of a piano string; one of another length has the mass per metre of the preset."""
+        length = float(length or preset.length)
+        mass = preset.mass * length / preset.length
+        return Geometry(length, mass, STRIKE * length, min(preset.width, 0.1 * length), 0.5 * length)
+
+    def nominal(self, hammer: Any) -> Any:
+        """Return the hammer at an ordinary velocity."""
+        return hammer._replace(v_H0=NOMINAL)
 
     def hammer(self, **values: float) -> Any:
         """Return a hammer with this felt.

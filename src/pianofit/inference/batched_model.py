@@ -21,13 +21,15 @@ from jaxtyping import Array, Float
 
 from ..conversions import CENTS, DB
 from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
-from ..model.contact import strike_final_state
+from ..excitation import GEOMETRY_FIELDS
+from ..model.excite import signal_state
 from ..model.knock import add_probes, knock_level
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES
 from ..parameters import String
 from ..threads import cores
+from ..transducer import TRANSDUCERS
 from .parametrisation import STRING_SIZE
 from .problem import FitProblem, ModelInputs, StaticConfig
 
@@ -49,33 +51,35 @@ def _level(
     """Levels, dB [rows], from the arrival of the wave at the pickup, and whether the contact ended."""
     c, *rest = jnp.exp(log_string)
     string = String(c * jnp.exp2(cents / 1200), *rest)
-    logs = dict(zip((*cfg.law.columns, "v_H0"), stroke, strict=True))
+    logs = dict(zip((*cfg.law.columns, cfg.law.stroke.name), stroke, strict=True))
     values = {name: jnp.exp(log) for name, log in logs.items()}
     if cfg.law.power:  # the entry is the force at the reference compression, unless that is 0
         stiffness, p = cfg.law.power
         u = inputs.reference_compression
         base = jnp.log(cfg.law.power_base(jnp.where(u > 0, u, 1.0), values))
         values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, values[p] * base, 0.0))
-    hammer = cfg.law.make_hammer(values, jnp.zeros_like(values["v_H0"]))
-    strike_position, width = values["x0"], values["width"]
-    geometry = inputs.geometry._replace(strike_position=strike_position, width=width)
+    hammer = cfg.law.make_hammer(values, jnp.zeros_like(values[cfg.law.stroke.name]))
+    on_string = TRANSDUCERS[cfg.quantity].on_string
+    places = {field: values[name] for name, field in GEOMETRY_FIELDS.items() if name in values}
+    geometry = inputs.geometry._replace(**places)
+    strike_position, width = geometry.strike_position, geometry.width
     modes = mode_table(string, geometry, rate=inputs.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
     f0 = string.c / (2 * geometry.length)
     modes = add_probes(modes, f0) if cfg.knock else modes
-    final = strike_final_state(modes, hammer, steps=inputs.steps)
-    end = geometry.length if cfg.quantity in ("bridge-force", "pressure") else geometry.pickup
+    state = signal_state(modes, hammer, cfg.law, steps=inputs.steps)
+    end = geometry.pickup if on_string else geometry.length
     delay = jnp.maximum(jnp.abs(end - strike_position) - width / 2, 0.0) / string.c
     # Amplitudes after the contact, extrapolated back to the arrival.
     alpha = -modes.pole.real[: cfg.rows]
-    amplitude = modes.pickup[: cfg.rows] * final.amplitude[: cfg.rows]
+    amplitude = state.amplitude[: cfg.rows]
     size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
-    size = size + alpha * (final.steps * modes.step - delay)
+    size = size + alpha * (state.time - delay)
     rate = 2 * (alpha + LEVEL_RATE / 2)
     level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
     if cfg.knock:
-        force = jnp.abs(modes.pickup[cfg.n_modes :] * final.amplitude[cfg.n_modes :])
+        force = jnp.abs(state.amplitude[cfg.n_modes :])
         level = jnp.append(level, knock_level(force, f0, strike_position / geometry.length))
-    return level, final.separated
+    return level, state.ended
 
 
 @persistent_jit
@@ -286,8 +290,8 @@ def level_slopes(problem: FitProblem) -> np.ndarray:
     slopes = dict.fromkeys(u.sizes, np.zeros(count))
     if problem.calibrated:
         unit = np.full(count, DB)
-        slopes |= {"scale": -unit} | ({"M_S": unit} if start.quantity in ("bridge-force", "pressure") else {})
-    if start.quantity in ("velocity", "displacement"):
+        slopes |= {"scale": -unit} | ({} if TRANSDUCERS[start.quantity].on_string else {"M_S": unit})
+    if TRANSDUCERS[start.quantity].on_string and "pickup" not in u.names:  # else it is an entry of the model
         phase = problem.observed.number * np.pi * start.geometry.pickup / start.geometry.length
         spread = phase * np.hypot(start.relative_sd.get("pickup", 0.0), start.relative_sd.get("L", 0.0))
         slope = DB * phase * np.sin(phase) * np.cos(phase) / (np.sin(phase) ** 2 + spread**2)

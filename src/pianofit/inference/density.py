@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..felt import FeltLaw
+from ..excitation import Excitation
 from .batched_model import LevelModel, level_jacobians_per_string, levels_per_string, string_residuals
 from .likelihood import ObservationTable, objective
 from .parametrisation import STRING_SIZE, names_of
@@ -82,7 +82,7 @@ def density_context_at(
     return DensityContext(*jax.tree.map(np.asarray, fields))
 
 
-def reflect_into_bounds(at: DensityContext, whitened, law: FeltLaw):
+def reflect_into_bounds(at: DensityContext, whitened, law: Excitation):
     """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
     free = (at.root != 0).any(axis=1)
     theta = at.theta + at.root @ whitened

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..errors import FitError, ParameterError
+from ..excitation import GEOMETRY_FIELDS
 from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
@@ -18,7 +19,7 @@ from .batched_model import LevelModel, compile_ahead
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
 from .likelihood import walk_covariance
-from .multistart import FINE_VELOCITIES, NO_HAMMER, deduplicate, from_starts, multistart, rank_hammers
+from .multistart import NO_HAMMER, deduplicate, from_starts, multistart, rank_hammers
 from .objective import Candidates, Objective, QuadraticSurrogate
 from .optimiser import Options, minimise, predicted_decrease
 from .parametrisation import STRING_SIZE
@@ -99,7 +100,8 @@ class InferenceResult:
         """
         u, theta = self.problem.parametrisation, self.estimate.theta
         hammer = np.arange(u.size) < u.shared
-        hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
+        hammer[:STRING_SIZE] = False
+        hammer[[u.index_of(name) for name in GEOMETRY_FIELDS if name in u.names]] = False
         mean, sd = np.where(hammer, self.initial_theta, u.mean), np.where(hammer, 0.0, u.sd)
         fixed = replace(u, mean=mean, sd=sd, joint=None)
         string = u.model_entries(theta)[:STRING_SIZE]
@@ -108,7 +110,8 @@ class InferenceResult:
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
         surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
         hammers = fixed.project(np.stack([self.initial_theta, theta]))
-        starts = np.concatenate(rank_hammers(objective, hammers, FINE_VELOCITIES, surrogates, offset))
+        values = u.law.stroke.fine(self.problem.initial_values.geometry)
+        starts = np.concatenate(rank_hammers(objective, hammers, values, surrogates, offset))
         starts = objective.start(starts, [phi], offset=offset)
         candidates = minimise(objective, starts, Options(ITERATIONS, 0.1))  # to a tenth of a dB
         if not len(candidates):
@@ -232,7 +235,7 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
     theta[:STRING_SIZE] = string
     reference = problem.reference_velocity_index
     if u.free[reference]:
-        theta[reference] = np.log(start.initial["v_H0"])
+        theta[reference] = np.log(start.initial[u.law.stroke.name])
     return u.project(theta)
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..felt import FeltLaw
+from ..excitation import Excitation
 from ..key_prior import KeyPrior
 from .parametrisation import Parametrisation, names_of
 
@@ -42,7 +42,7 @@ class InvariantMap(NamedTuple):
     compression: Any  # of both, m
     searched_compression: Any  # of the searched force, m; 0 if the stiffness is an entry of θ
 
-    def __call__(self, theta: Any, law: FeltLaw, xp: Any = np) -> Any:
+    def __call__(self, theta: Any, law: Excitation, xp: Any = np) -> Any:
         """Values at `theta` [..., size]; `xp` is NumPy or JAX [..., quantities]."""
         out = theta @ self.linear.T + self.constant
         if law.power is None:
@@ -50,7 +50,7 @@ class InvariantMap(NamedTuple):
         log_force, log_slope = self._felt(theta, law, xp)
         return out + log_force[..., None] * self.force + log_slope[..., None] * self.exponent
 
-    def _felt(self, theta: Any, law: FeltLaw, xp: Any) -> tuple[Any, Any]:
+    def _felt(self, theta: Any, law: Excitation, xp: Any) -> tuple[Any, Any]:
         """log F minus the searched force or stiffness, and log of d log g/d log u [...]."""
         values = {name: xp.exp(theta[..., i]) for i, name in enumerate(names_of(law)) if name in law.parameters}
         _, p = law.power or ("", "")
@@ -74,7 +74,7 @@ class JointPrior:
     precision: np.ndarray  # [quantities, quantities]
     replaced: np.ndarray  # mask of the entries of θ whose prior it replaces [size]
 
-    def residual(self, theta: np.ndarray, law: FeltLaw) -> tuple[np.ndarray, np.ndarray]:
+    def residual(self, theta: np.ndarray, law: Excitation) -> tuple[np.ndarray, np.ndarray]:
         """g(θ) - m [B, quantities] and J [B, quantities, size]."""
         jacobian = np.broadcast_to(self.invariants.linear, (len(theta), *self.invariants.linear.shape)).copy()
         names = names_of(law)
@@ -84,12 +84,14 @@ class JointPrior:
             jacobian[..., names.index(name)] += np.imag(self._felt_part(theta + step, law)) / IMAGINARY
         return self.invariants(theta, law) - self.mean, jacobian
 
-    def _felt_part(self, theta: np.ndarray, law: FeltLaw) -> np.ndarray:
+    def _felt_part(self, theta: np.ndarray, law: Excitation) -> np.ndarray:
         """The part of g that is not linear [B, quantities]."""
         flat = self.invariants._replace(linear=np.zeros_like(self.invariants.linear), constant=0.0)
         return flat(theta, law)
 
-    def evaluate(self, theta: np.ndarray, law: FeltLaw, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(
+        self, theta: np.ndarray, law: Excitation, free: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Part of F: value [B], gradient [B, size] and curvature [B, size, size]; 0 for entries that are not free."""
         r, J = self.residual(theta, law)
         J = J * free

@@ -26,18 +26,10 @@ from .problem import FitProblem, brightness
 
 # Samples of the prior's hammers: a power of two, as Sobol points require.
 SAMPLES = 1024
-# Velocities of each sample, m/s: neighbours differ by 30 %, which a minimisation bridges.
-VELOCITIES = np.geomspace(0.15, 8.0, 16)
-# Velocities of one hammer, m/s: 1.6 % apart, closer than the lobes of a treble force's spectrum.
-FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
 # Probability at each end of a prior that is not sampled.
 TAIL = 0.01
 # Initial σ, the excess of levels, dB; A, ℓ and η start at their priors.
 WIDE_EXCESS = 2.0
-# Initial velocities, from the brightest stroke down, m/s: a forte,
-FASTEST = 4.0
-# and the factor from stroke to stroke, for layers far apart and for layers close together.
-FACTORS = (0.5, 0.75)
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
@@ -59,7 +51,7 @@ REACH = 0.3
 # and in standard deviations of the quadratic approximation. F of a clean recording has ripples along a ridge that is
 # narrow in all other directions. They are some deviations apart, and F can fall by tens between them.
 ALONG = 10.0
-# Shifts of log x0: minima of the strike position are less than a percent apart in the bass.
+# Shifts of the logarithm of a position: minima of the strike position are less than a percent apart in the bass.
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps of a restart
 TRIAL = 6
@@ -89,26 +81,28 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     # Before a hammer is known, it is open whether recordings share a gain: each answer has its own hammers.
     surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
     fixed = [objective.with_surrogate(surrogate) for surrogate in surrogates]
+    values, geometry = objective.problem.initial_values.law.stroke, objective.problem.initial_values.geometry
+    coarse, fine = values.coarse(geometry), values.fine(geometry)
 
     def minimised(starts: Sequence[np.ndarray]) -> Candidates:
         """Minimise the candidates [S, size] of every surrogate on that surrogate, and join them."""
         ends = [minimise(f, f.start(x, [phi]), Options(FIRST_STEPS)) for f, x in zip(fixed, starts, strict=True)]
         return functools.reduce(Candidates.join, ends)
 
-    samples = rank_hammers(objective, sobol_samples(objective, seed), VELOCITIES, surrogates)
+    samples = rank_hammers(objective, sobol_samples(objective, seed), coarse, surrogates)
     candidates = minimised([np.concatenate([first, theta[:FIRST]]) for theta in samples])
     if not len(candidates):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
     survivors = _survivors(objective, candidates).theta
-    candidates = candidates.join(minimised(rank_hammers(objective, survivors, FINE_VELOCITIES, surrogates)))
+    candidates = candidates.join(minimised(rank_hammers(objective, survivors, fine, surrogates)))
     progress("hammer", 0.4)
     above_floor = Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
     candidates = _continued(objective, _survivors(objective, candidates), above_floor)
     progress("hammer", 0.5)
     candidates = _continued(objective, _survivors(objective, candidates, NEAR), Options(LAST_STEPS))
     progress("restarts", 0.6)
-    kinds = _kinds_of_restart(objective, np.random.default_rng(seed))
+    kinds = _kinds_of_restart(objective, np.random.default_rng(seed), fine)
     for _ in range(ROUNDS):
         before = objective.total(candidates)[0]
         for points, gains in kinds:
@@ -137,7 +131,8 @@ def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candida
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
     surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
-    ranked = rank_hammers(objective, starts, FINE_VELOCITIES, surrogates)
+    values = objective.problem.initial_values
+    ranked = rank_hammers(objective, starts, values.law.stroke.fine(values.geometry), surrogates)
     theta = np.concatenate([starts, *ranked])
     error = objective.level_model.discretisation_error_db(theta)
     candidates = minimise(objective, objective.start(theta, [phi], None, error), Options(steps))
@@ -159,12 +154,14 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
     return minimise(objective, objective.start(candidates.theta, candidates.phi, candidates.w, error), options)
 
 
-def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list[tuple[Points, int | None]]:
+def _kinds_of_restart(
+    objective: Objective, random: np.random.Generator, fine: np.ndarray
+) -> list[tuple[Points, int | None]]:
     """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
     u = objective.problem.parametrisation
     # Values and sizes that were given with a standard deviation have no other minima.
     free = objective.free & ~u.given & (np.arange(u.size) < u.velocities.stop)
-    x0, nodes = u.index_of("x0"), range(len(objective.problem.observed.level.scale))
+    nodes = range(len(objective.problem.observed.level.scale))
 
     def perturbed(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
         """Random points in all parameters, widest along the ridge."""
@@ -176,15 +173,27 @@ def _kinds_of_restart(objective: Objective, random: np.random.Generator) -> list
         return u.project(theta)
 
     def rescanned(best: Candidates, surrogate: QuadraticSurrogate) -> np.ndarray:
-        return rank_hammers(objective, best.theta, FINE_VELOCITIES, [surrogate], best.offset[0])[0]
+        return rank_hammers(objective, best.theta, fine, [surrogate], best.offset[0])[0]
 
     def shifted(best: Candidates, _: QuadraticSurrogate) -> np.ndarray:
-        """Other strike positions."""
-        theta = np.tile(best.theta, (2 * len(SCAN), 1))
-        theta[:, x0] += np.outer([1, -1], SCAN).ravel()
+        """Other positions, one at a time; one stroke and a pickup can also exchange their positions."""
+        theta = np.tile(best.theta, (2 * len(SCAN) * len(positions), 1))
+        for n, at in enumerate(positions):
+            theta[n * 2 * len(SCAN) : (n + 1) * 2 * len(SCAN), at] += np.outer([1, -1], SCAN).ravel()
+        if len(positions) > 1 and u.strokes == 1:
+            theta = np.concatenate([theta, best.theta])
+            theta[-1, positions] = theta[-1, positions[::-1]]
         return u.project(theta)
 
-    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(u.free[x0])]
+    # A partial has equal levels on both sides of its node, so minima of a position lie in pairs.
+    positions = [at for name, at in _positions(u) if free[at]]
+    return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(positions)]
+
+
+def _positions(u: Parametrisation) -> list[tuple[str, int]]:
+    """Names and indices in θ of the positions on the string: of the contact, of every stroke, and of the pickup."""
+    shared = [(name, u.index_of(name)) for name in ("x0", "pickup") if name in u.names]
+    return shared + [(u.law.stroke.name, at) for at in range(u.size)[u.velocities] if u.law.stroke.name == "x0"]
 
 
 def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
@@ -346,5 +355,7 @@ def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
         by_stroke[stroke] = max(by_stroke[stroke], brightness(analysis))
     rank = np.empty(u.strokes)
     rank[np.argsort(-by_stroke)] = np.arange(u.strokes)
-    log_velocities = [np.where(measured, mean, np.log(FASTEST * factor**rank)) for factor in FACTORS]
+    start = problem.initial_values
+    given = start.law.stroke.starts(start.geometry, rank)
+    log_velocities = [np.where(measured, mean, np.log(values)) for values in given]
     return [np.abs(grid - start[:, None]).argmin(axis=1) for start in log_velocities]

@@ -9,6 +9,9 @@ import numpy as np
 
 from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
+from ..excitation import Excitation
+from ..felt import DEFAULT_LAW
+from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
 
@@ -76,6 +79,8 @@ def observe(
     unit: float,
     path: bool,
     gains: bool,
+    excitation: Excitation = DEFAULT_LAW,
+    quantity: str = "pressure",
 ) -> Observations:
     """The tables of recordings of one key.
 
@@ -84,6 +89,8 @@ def observe(
     reference : index of the reference recording.
     unit : the pickup's unit over full scale, dB.
     path, gains : true if the output path is unknown, and if its gain is.
+    excitation, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share
+        nothing about their gain.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
@@ -91,8 +98,9 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    level = _levels(analyses, layout, number, ref, unit, path, gains)
-    if path and np.isfinite([a.knock for a in analyses]).any():
+    roughness = TRANSDUCERS[quantity].roughness or excitation.roughness
+    level = _levels(analyses, layout, number, ref, unit, path, excitation.gain_deviations if gains else None, roughness)
+    if path and excitation.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
     frequency, decay = _string_tables(analyses, detected, law, ref)
@@ -134,7 +142,8 @@ def _levels(
     ref: Analysis,
     unit: float,
     path: bool,
-    gains: bool,
+    gains: Sequence[float] | None,
+    roughness: tuple[float, float],
 ) -> ObservationTable:
     tables = [a.partials for a in analyses]
     frequency = law_frequency(ref.f0, ref.B, number)
@@ -147,7 +156,7 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
-    nodes, weight = priors.path_nodes() if path else (np.array([NONE]), np.ones(1))
+    nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
     hyper = priors.LEVEL
@@ -196,23 +205,25 @@ def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> Observ
     )
 
 
-def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: float) -> tuple[np.ndarray, np.ndarray]:
+def _columns(
+    layout: RecordingStructure, alpha: np.ndarray, gains: Sequence[float] | None, f0: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Columns [Q, R, K] and prior standard deviations of their coefficients at every node of the gains [nodes, Q].
 
     The columns are every recording's onset, s. With unknown gains there are also the gain of each path and the
-    deviation of each gain group from it, dB.
+    deviation of each gain group from it, dB. `gains` are the standard deviations of these, None if gains are known.
     """
     recordings = len(layout.stroke)
     onset = np.eye(recordings)[:, :, None] * (DB * alpha)
     onset_sd = np.full(recordings, np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
-    if not gains:
+    if gains is None:
         return onset, onset_sd[None]
     path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
     # A path with one gain group has no deviation from its gain.
     several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
     own = own[(own * several).any(axis=1)]
     gain = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
-    deviations = priors.GAIN_DEVIATION if len(own) else (0.0,)
+    deviations = gains if len(own) else (0.0,)
     scale = [[*np.full(len(path), priors.GAIN), *np.full(len(own), sd), *onset_sd] for sd in deviations]
     return np.concatenate([gain, onset]), np.array(scale)
 

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..felt import ALL_PARAMETERS, FeltLaw
+from ..excitation import GEOMETRY_FIELDS, Excitation
+from ..felt import ALL_PARAMETERS
 from ..parameters import STRING_NAMES, Geometry, String
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ STRING_SIZE = len(STRING_NAMES)
 LOG_ABSENT_LOSS = -300.0
 
 
-def names_of(law: FeltLaw) -> tuple[str, ...]:
+def names_of(law: Excitation) -> tuple[str, ...]:
     """Names of the shared parameters, in order: the string, then felt, hammer mass and contact."""
     return STRING_NAMES + law.columns
 
@@ -54,7 +55,7 @@ class Parametrisation:
     upper: np.ndarray
     reference_compression: float  # of the searched force, m; 0 if the stiffness is searched, or given
     geometry: Geometry  # strike position and contact width are parameters
-    law: FeltLaw
+    law: Excitation
     sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
     # Exponent g with which the value of every entry scales with every size [sizes, size].
     exponents: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -87,8 +88,9 @@ class Parametrisation:
     @cached_property
     def reported(self) -> tuple[str, ...]:
         """Names of parameters of this law's hammers; the others are fixed."""
-        own = (*STRING_NAMES, *self.law.hammer_type._fields, "x0", "width")
-        return tuple(name for name in self.names if name in own)
+        own = {*STRING_NAMES, *self.law.hammer_type._fields, *GEOMETRY_FIELDS}
+        absent = {name for name, mean in zip(self.names, self.mean, strict=False) if mean <= LOG_ABSENT_LOSS}
+        return tuple(name for name in self.names if name in own - (absent & {*GEOMETRY_FIELDS}))
 
     @property
     def size(self) -> int:
@@ -205,15 +207,17 @@ class Parametrisation:
 
     def hammer(self, theta: np.ndarray, stroke: int) -> Any:
         """The hammer at `theta` [size] with the velocity of one stroke."""
-        logs = dict(zip(self.names, self.log_values(theta), strict=False)) | {"v_H0": theta[self.shared + stroke]}
-        return self.law.make_hammer({name: self.value(name, logs[name]) for name in self.law.hammer_parameters})
+        logs = dict(zip(self.names, self.log_values(theta), strict=False))
+        logs[self.law.stroke.name] = theta[self.shared + stroke]
+        return self.law.make_hammer({n: self.value(n, logs[n]) for n in self.law.hammer_parameters if n in logs})
 
-    def geometry_at(self, theta: np.ndarray) -> Geometry:
-        """The geometry with strike position, contact width and uncertain sizes at `theta` [size]."""
+    def geometry_at(self, theta: np.ndarray, stroke: int = 0) -> Geometry:
+        """The geometry with contact, pickup and uncertain sizes at `theta` [size], for one stroke."""
         logs = self.log_values(theta)
-        fields = {"x0": "strike_position", "width": "width", "L": "length", "M_S": "mass", "pickup": "pickup"}
-        names = ("x0", "width", *(name for name in self.sizes if name in fields))
-        return self.geometry._replace(**{fields[name]: float(np.exp(logs[self.index_of(name)])) for name in names})
+        values = {name: logs[self.index_of(name)] for name in (*self.reported, *self.sizes)}
+        values[self.law.stroke.name] = logs[self.shared + stroke]
+        fields = {field: values[name] for name, field in GEOMETRY_FIELDS.items() if name in values}
+        return self.geometry._replace(**{field: float(np.exp(log)) for field, log in fields.items()})
 
     # --- bounds -------------------------------------------------------------------------------------------------------
 

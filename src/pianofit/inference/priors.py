@@ -15,44 +15,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis import Analysis, cents_above
 from ..conversions import midi_of
 from ..errors import SetupError
-from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW, FeltLaw
+from ..excitation import GEOMETRY_FIELDS, Excitation
+from ..excitation.hammer import GAIN_DEVIATION, PATH
+from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW
 from ..felt.hunt_crossley import HAMMER_SD as HAMMER_SD  # keyboard laws remove this prior, and do not import this room
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..setup import Setup
+from ..transducer import TRANSDUCERS
 
 # --- hammer: about the literature's values for the key (literature.typical), with the standard deviations `HAMMER_SD`;
 # the felt law has the felt's priors
-# Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
-VELOCITY = 1.5
-VELOCITY_SD = 0.8
 # String: about the analysis of one recording, wide enough to have no effect.
 STRING_SD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 # Exponents with which values scale with the string length if the sound stays the same.
-LENGTH_EXPONENTS = {"c": 1.0, "kappa": 2.0, "b2": 2.0, "x0": 1.0, "width": 1.0}
+LENGTH_EXPONENTS = {"c": 1.0, "kappa": 2.0, "b2": 2.0, "x0": 1.0, "width": 1.0, "pickup": 1.0}
 
 # --- between string and table of partials -----------------------------------------------------------------------------
 # The gain of an output path is unknown, dB.
 GAIN = 60.0
-# Gains of recordings through one path: as likely equal, except for variation of single strokes, as normalised one by
-# one. Standard deviations from their mean, dB.
-GAIN_DEVIATION = (1.0, 20.0)
 # Standard deviation of a detected onset from the arrival of the wave, s,
 ONSET = 1e-3
 # plus this in periods: the first arrival on a stiff string is faint, and the largest of the first period is detected.
 ONSET_PERIODS = 0.5
 # Degrees of freedom of Student's t: with 4 a search can discard the fundamental and stay there.
 STUDENT = 10.0
-# Residual standard deviation τ of a path, dB, median and spread, from notes recorded at several velocities
-# (benchmarks/path_prior.py).
-PATH = (4.5, 0.4)
 # Standard deviation of a knock from the force, dB: 1.1 in five treble keys of five pianos, 1.8 in eleven keys of all
 # registers, levelled libraries included (benchmarks/knock_study.py).
 KNOCK_SD = 1.5
@@ -95,18 +89,18 @@ LEAST_DECAY_RATIO = 0.1
 LAW_REACH = 10.0
 
 
-def path_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
+def path_nodes(roughness: tuple[float, float] = PATH) -> tuple[np.ndarray, np.ndarray]:
+    """Three nodes of log τ and their weights: Gauss-Hermite over the log-normal prior of the `roughness`."""
     x, weight = np.polynomial.hermite_e.hermegauss(3)
-    return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
+    return np.log(roughness[0]) + roughness[1] * x, weight / weight.sum()
 
 
-def log_gain(gain: float, others: Sequence[float] = (0.0,)) -> float:
+def log_gain(gain: float, others: Sequence[float] = (0.0,), deviations: Sequence[float] = GAIN_DEVIATION) -> float:
     """Log predictive density of a recording's gain, dB, given those of `others` through its path.
 
     All recordings of a path either share a gain or do not. As in F, the other recordings decide between the two.
     """
-    given, sd = np.asarray(others, float), np.array(GAIN_DEVIATION)
+    given, sd = np.asarray(others, float), np.array(deviations)
     square = ((given - given.mean()) ** 2).sum()
     regime = -(len(given) - 1) * np.log(sd) - 0.5 * square / sd**2
     spread = sd * np.sqrt(1 + 1 / len(given))
@@ -130,9 +124,9 @@ class InitialValues:
     assumed: tuple[str, ...]  # of length, mass, width
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
-    reference_hammer: Hammer  # the literature's for the key, with given values; sets the scale of contacts
+    reference_hammer: Any  # the literature's for the key, with given values; sets the scale of contacts
     user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
-    law: FeltLaw = DEFAULT_LAW
+    law: Excitation = DEFAULT_LAW
     # Standard deviations of the logarithms of given values, by name; without exact ones. L, M_S, pickup and scale are
     # sizes.
     relative_sd: dict[str, float] = field(default_factory=dict)
@@ -140,12 +134,12 @@ class InitialValues:
     def size_value(self, name: str) -> float:
         """The given value of L, M_S, pickup or scale."""
         g = self.geometry
-        return float({"L": g.length, "M_S": g.mass, "pickup": g.pickup, "scale": self.scale or 1.0}[name])
+        return float(self.scale or 1.0) if name == "scale" else float(getattr(g, GEOMETRY_FIELDS[name]))
 
     @property
     def unknown_path(self) -> bool:
         """True if an unknown path lies between the bridge and the file."""
-        return self.scale is None and self.quantity == "pressure"
+        return self.scale is None and TRANSDUCERS[self.quantity].unknown_path
 
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> InitialValues:
@@ -161,26 +155,21 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     geometry, assumed = _geometry(setup, preset.geometry)
     values = _string_values(analysis, geometry.length)
     _check_pitch(analysis, setup, geometry.length)
-    hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
     given = {k: v for k, v in setup.initial.items() if k not in values} | setup.fixed
-    values |= hammer | {"x0": geometry.strike_position, "width": geometry.width}
+    values |= {"x0": geometry.strike_position, "width": geometry.width, "pickup": geometry.pickup}
+    if law.has_contact:
+        values |= {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
     values |= {name: parameter.prior_median(key) for name, parameter in law.parameters.items()} | given
     fixed = dict.fromkeys(setup.fixed, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
-    measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
-    if measured is not None:
-        values["v_H0"], fixed["v_H0"] = float(measured), "fixed"
-    elif setup.pickup_scale is None and "v_H0" not in fixed:
-        fixed["v_H0"] = "assumed"
-    if setup.strike_position is not None:
-        fixed["x0"] = "fixed"
+    fixed |= _fixed_stroke(setup, velocity, values) if law.has_contact else {}
+    fixed |= {} if setup.strike_position is None else {"x0": "fixed"}
+    fixed |= {} if setup.pickup_position is None else {"pickup": "fixed"}
     absent = {*ALL_PARAMETERS} & {*law.columns} - {*law.parameters, *COMMON_PARAMETERS}
     fixed |= {name: "fixed" for name in ALL_PARAMETERS if name in absent}
     ranges = ALL_PARAMETERS | law.hammer_parameters
     for name in set(values) & set(ranges):
         low, high = setup.bounds.get(name, (ranges[name].lower, ranges[name].upper))
         values[name] = min(max(values[name], low), high)
-    # A user's law may use the literature's names for other quantities.
-    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
     return InitialValues(
         values=values,
         initial=values | setup.initial,
@@ -191,23 +180,39 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
-        reference_hammer=Hammer(**hammer | {name: values[name] for name in shared}),
+        reference_hammer=_reference_hammer(preset.hammer, law, values),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
         relative_sd=spread,
     )
 
 
+def _fixed_stroke(setup: Setup, velocity: float | None, values: dict[str, float]) -> dict[str, str]:
+    """Status of the hammer velocity; a measured one is added to `values`."""
+    measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
+    if measured is not None:
+        values["v_H0"] = float(measured)
+        return {"v_H0": "fixed"}
+    return {} if setup.pickup_scale is not None or "v_H0" in setup.fixed else {"v_H0": "assumed"}
+
+
+def _reference_hammer(hammer: Hammer, law: Excitation, values: dict[str, float]) -> Any:
+    """The literature's hammer with given values; for another excitation, its own object."""
+    if not law.has_contact:
+        return law.make_hammer(values)
+    # A user's law may use the literature's names for other quantities.
+    shared = COMMON_PARAMETERS if law.hammers is None else HAMMER_NAMES
+    own = {name: values[name] for name in shared}
+    return Hammer(**{**hammer._asdict(), "v_H0": ASSUMED_VELOCITY, **own})
+
+
 def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]]:
     """Length, mass and strike position of the setup, completed from the literature's string for the key."""
-    length = setup.length or preset.length
-    # A string of another length is assumed to have the literature's mass per metre.
-    mass = setup.mass or preset.mass * length / preset.length
-    width = setup.strike_width or min(preset.width, 0.1 * length)
-    strike = setup.strike_position or 0.12 * length
-    pickup = setup.pickup_position or 0.5 * length
+    geometry = setup.law.typical(preset, setup.length)
     given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
-    return Geometry(length, mass, strike, width, pickup), tuple(k for k, v in given.items() if v is None)
+    own = given | {"strike_position": setup.strike_position, "pickup": setup.pickup_position}
+    assumed = tuple(name for name, value in given.items() if value is None)
+    return geometry._replace(**{name: value for name, value in own.items() if value is not None}), assumed
 
 
 def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
@@ -241,6 +246,8 @@ def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
     }
 
 
-def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
-    scaled = {"length": ("c", "kappa", "b2", "x0"), "mass": (*law.parameters_with_unit("N"), "M_H")}
+def _assumptions(assumed: tuple[str, ...], law: Excitation) -> dict[str, tuple[str, ...]]:
+    hammer = (*law.parameters_with_unit("N"), "M_H") if law.has_contact else ()
+    contact = ("x0",) if law.has_contact else ("x0", *law.columns)
+    scaled = {"length": ("c", "kappa", "b2", *contact), "mass": hammer}
     return {name: (size,) for size, names in scaled.items() if size in assumed for name in names}

@@ -12,7 +12,8 @@ import numpy as np
 from ..analysis import SAME_KEY_CENTS, Analysis, cents_above
 from ..conversions import midi_of
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS, FeltLaw
+from ..excitation import Excitation
+from ..felt import ALL_PARAMETERS
 from ..io.files import printable
 from ..io.number_format import counted
 from ..key_prior import KeyPrior
@@ -21,6 +22,7 @@ from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, Geometry, String
 from ..recording.recording import Recording
 from ..setup import RecordingInfo, Setup, recording_info_for, relative_sd
+from ..transducer import TRANSDUCERS
 from . import priors
 from .joint_prior import with_key_prior
 from .observation_tables import KNOCK, Observations, RecordingStructure, observe
@@ -55,7 +57,7 @@ class StaticConfig(NamedTuple):
     n_modes: int
     rows: int  # partials with levels, 1 to rows
     quantity: str
-    law: FeltLaw
+    law: Excitation
     knock: bool = False  # True if the last row is the knock
 
 
@@ -105,7 +107,8 @@ class FitProblem:
     @property
     def velocity_scale_free(self) -> bool:
         """True if one common scale of the velocities is free: neither the levels' unit nor a velocity is given."""
-        return not self.calibrated and all(v is None for v in self.measured_velocity)
+        is_open = self.initial_values.law.stroke.scale_is_open
+        return is_open and not self.calibrated and all(v is None for v in self.measured_velocity)
 
     @property
     def reference_velocity_index(self) -> int:
@@ -116,7 +119,7 @@ class FitProblem:
     def reported_parameters(self) -> dict[str, int]:
         """Indices in θ, by name, of the free shared parameters, the reference stroke's velocity and uncertain sizes."""
         u = self.parametrisation
-        named = (*enumerate(u.names), (self.reference_velocity_index, "v_H0"))
+        named = (*enumerate(u.names), (self.reference_velocity_index, u.law.stroke.name))
         return {name: i for i, name in named if u.free[i]} | self._size_indices
 
     @property
@@ -128,13 +131,13 @@ class FitProblem:
     def parameter_indices(self) -> dict[str, int]:
         """Indices in θ, by name, of the parameters of the felt law, of every velocity, and of uncertain sizes.
 
-        `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N.
+        `v_H0` is the velocity of the reference stroke, `v_H0 N` that of stroke N. A pluck has `x0` in its place.
         """
-        u = self.parametrisation
-        shared = {name: u.index_of(name) for name in u.reported if u.mean[u.index_of(name)] > LOG_ABSENT_LOSS}
+        u, name = self.parametrisation, self.parametrisation.law.stroke.name
+        shared = {own: u.index_of(own) for own in u.reported if u.mean[u.index_of(own)] > LOG_ABSENT_LOSS}
         strokes = range(u.size)[u.velocities]
         velocities = {
-            "v_H0" if at == self.reference_velocity_index else f"v_H0 {at - u.shared + 1}": at for at in strokes
+            name if at == self.reference_velocity_index else f"{name} {at - u.shared + 1}": at for at in strokes
         }
         return shared | velocities | self._size_indices
 
@@ -158,7 +161,7 @@ def build_problem(
     structure = _structure(entries)
     given: list[float | None] = [None] * structure.strokes
     for stroke, entry in zip(structure.stroke, entries, strict=True):
-        v = velocity if velocity is not None else entry.v_H0
+        v = setup.law.stroke.given(entry, setup) if velocity is None else velocity
         given[stroke] = given[stroke] if v is None else v
     measured = [None if v is None else float(v) for v in given]
     # The fastest recording with a measured velocity, or else the brightest.
@@ -172,7 +175,9 @@ def build_problem(
         given[stroke] = setup.fixed["v_H0"]
         measured[stroke] = float(setup.fixed["v_H0"])
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    observed = observe(analyses, structure, reference, scale, start.unknown_path, start.scale is None)
+    observed = observe(
+        analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law, start.quantity
+    )
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
     if setup.prior is not None:
         scale_free = start.scale is None and all(v is None for v in given)
@@ -251,7 +256,8 @@ def _model(
     """Priors and bounds of the parameters, and the settings of the model."""
     geometry, law = start.geometry, start.law
     string = String(*(start.values[n] for n in STRING_NAMES))
-    first = simulate(string, start.reference_hammer._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
+    nominal = law.nominal(start.reference_hammer)
+    first = simulate(string, nominal, geometry, rate=rate, quantity=start.quantity)
     # A given stiffness is fixed as it is.
     fixed = law.power is None or law.power[0] in start.fixed
     u_ref = 0.0 if fixed else reference_compression(midi_of(string.c / (2 * geometry.length)))
@@ -262,7 +268,9 @@ def _model(
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
     inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(u_ref), np.int64(steps), free)
-    modes, knock = max(first.modes.pole.shape[0], rows), KNOCK in observed.number
+    # Without contact, modes above the highest partial have no effect.
+    modes = max(first.modes.pole.shape[0] if law.has_contact else 0, rows)
+    knock = KNOCK in observed.number
     return unknowns, inputs, StaticConfig(modes, rows, start.quantity, law, knock)
 
 
@@ -289,16 +297,21 @@ def prior_parametrisation(start: InitialValues, measured: Sequence[float | None]
     u_ref : reference compression of the searched force, m; 0 if the stiffness itself is searched.
     """
     values, geometry, law = start.values, start.geometry, start.law
-    names, sizes = names_of(law), tuple(name for name in SIZES if name in start.relative_sd)
+    names = names_of(law)
+    sizes = tuple(name for name in SIZES if name in start.relative_sd and name not in names)
     spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
+    spread |= law.spreads
+    if not TRANSDUCERS[start.quantity].on_string:
+        spread.pop("pickup", None)
     # A loss that the law does not have gets no spread, so it is fixed.
     mean = [np.log(max(values[n], 1e-300)) if n in spread else LOG_ABSENT_LOSS for n in names]
-    sd = [0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names]
-    if start.unknown_path:  # it absorbs the effect of the width
+    sd = [0.0 if _is_exact(start, n) else spread.get(n, 0.0) for n in names]
+    if start.unknown_path and law.has_contact:  # it absorbs the effect of the width
         sd[names.index("width")] = 0.0
     sd = [float(np.hypot(own, start.relative_sd.get(n, 0.0))) for n, own in zip(names, sd, strict=True)]
-    mean += [np.log(priors.VELOCITY if v is None else float(v)) for v in measured]
-    sd += [priors.VELOCITY_SD if v is None else relative_sd(v) for v in measured]
+    median, stroke_sd = law.stroke.prior(geometry)
+    mean += [np.log(median if v is None else float(v)) for v in measured]
+    sd += [stroke_sd if v is None else relative_sd(v) for v in measured]
     mean = np.array(mean + [np.log(start.size_value(name)) for name in sizes])
     sd = np.array(sd + [start.relative_sd[name] for name in sizes])
     lower, upper = _bounds(start, names, len(measured), len(sizes))
@@ -307,7 +320,7 @@ def prior_parametrisation(start: InitialValues, measured: Sequence[float | None]
         stiffness, exponent = law.power
         mean[names.index(stiffness)] += values[exponent] * np.log(law.power_base(u_ref, values))
     # A fitted width is an effective one, with the given width only as the centre of its prior.
-    given = [start.fixed.get(n) == "fixed" and (n != "width" or start.unknown_path) for n in names]
+    given = [_is_exact(start, n) or (n == "width" and _is_fixed(start, n) and start.unknown_path) for n in names]
     given = np.array([*given, *(v is not None for v in measured)])
     given = np.append(given, np.zeros(len(sizes), bool))
     scaling = {"L": priors.LENGTH_EXPONENTS, "M_S": {"M_H": 1.0, **{n: law.force_exponent(n) for n in law.parameters}}}
@@ -318,15 +331,26 @@ def prior_parametrisation(start: InitialValues, measured: Sequence[float | None]
     return Parametrisation(mean, sd, lower, upper, u_ref, geometry, law, sizes, exponents, given)
 
 
+def _is_fixed(start: InitialValues, name: str) -> bool:
+    return start.fixed.get(name) == "fixed"
+
+
+def _is_exact(start: InitialValues, name: str) -> bool:
+    """True if the given value is that of the model. The width of a hammer's contact is an effective one."""
+    return _is_fixed(start, name) and not (name == "width" and start.law.has_contact)
+
+
 def _bounds(start: InitialValues, names: Sequence[str], strokes: int, sizes: int) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the logarithms of all values [size]. Values given with a standard deviation have only their prior."""
     geometry = start.geometry
     bounds = {n: (box.lower, box.upper) for n, box in (ALL_PARAMETERS | start.law.hammer_parameters).items()}
     bounds["x0"] = max(STRIKE[0] * geometry.length, 0.51 * geometry.width), STRIKE[1] * geometry.length
     bounds["width"] = WIDTHS[0] * geometry.width, WIDTHS[1] * geometry.width
-    bounds |= start.bounds
-    logs = np.log([bounds[n] for n in names] + [bounds["v_H0"]] * strokes)
-    if "x0" in start.relative_sd:
-        logs[names.index("x0")] = -np.inf, np.inf
+    stroke = start.law.stroke
+    own = {name: (low * geometry.length, high * geometry.length) for name, (low, high) in start.law.ranges.items()}
+    bounds |= own | {stroke.name: stroke.bounds(geometry)} | start.bounds
+    logs = np.log([bounds[n] for n in names] + [bounds[stroke.name]] * strokes)
+    for name in {"x0", "pickup"} & {*names} & {*start.relative_sd}:
+        logs[names.index(name)] = -np.inf, np.inf
     lower, upper = np.concatenate([logs, np.tile([-np.inf, np.inf], (sizes, 1))]).T
     return lower, upper

@@ -19,6 +19,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
+from ..excitation import HAMMER
 from ..felt import SoftHammer
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
@@ -192,17 +193,21 @@ def _load_key(file: Path) -> KeyFit:
     fit, name = read_fit(file), printable(file)
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
+    if fit.excitation != HAMMER:
+        raise FitError(
+            f"{name}: its string is {fit.excitation}ed; an instrument of 88 keys needs fits of struck strings"
+        )
     if not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
     for i, recording in enumerate(fit.recordings):
-        if not (recording.v_H0 > 0 and recording.gain):
+        if not (recording.stroke_value > 0 and recording.gain):
             raise FitError(
-                f"{name}: recordings[{i}] has v_H0 = {recording.v_H0:g} m/s and gain = {recording.gain:g}, but a "
-                "velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
+                f"{name}: recordings[{i}] has v_H0 = {recording.stroke_value:g} m/s and gain = {recording.gain:g}, but "
+                "a velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
             )
     for i, minimum in enumerate(fit.minima):
         missing = NEEDED - {*minimum.parameters}
-        if missing or len(minimum.velocities) == 0 or not (minimum.velocities > 0).all():
+        if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
                 f"{name}: minima[{i}] must have velocities above 0, m/s, and the parameters "
                 f"{', '.join(sorted(missing)) or 'of a fit'}; give the file that pianofit fit wrote"
@@ -214,8 +219,8 @@ def _load_key(file: Path) -> KeyFit:
             )
     # The note has the output path of the reference recording, and a gain belongs to a path.
     same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
-    gain = max(same_path, key=lambda recording: recording.v_H0).gain
-    velocities = np.unique([recording.v_H0 for recording in fit.recordings])
+    gain = max(same_path, key=lambda recording: recording.stroke_value).gain
+    velocities = np.unique([recording.stroke_value for recording in fit.recordings])
     hammer = soft_hammer(note.hammer._replace(v_H0=float(velocities[-1])))
     path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
     summary = FitSummary(
@@ -267,7 +272,7 @@ def _layers(fit: Fit) -> tuple[Layer, ...]:
     """Return the recordings of a fit, soft to loud."""
     entries = () if fit.modal_response is None else fit.modal_response.layers
     delay = {entry.file: entry.contact_s for entry in entries}
-    layers = [Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), r.v_H0) for r in fit.recordings]
+    layers = [Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), r.stroke_value) for r in fit.recordings]
     return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 

@@ -100,13 +100,13 @@ def _default_variances() -> np.ndarray:
 
 def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
     """Return the note of a key with the parameters of one minimum, on the velocity scale of the instrument."""
-    velocity = float(np.max(minimum.velocities))
+    velocity = float(np.max(minimum.stroke_values))
     return _scaled_note(note, minimum, LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0)
 
 
 def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:
     """The note of one minimum, with the velocities of the fit times `scale`."""
-    velocity, at = float(np.max(minimum.velocities)), minimum.parameters
+    velocity, at = float(np.max(minimum.stroke_values)), minimum.parameters
     hammer = soft_hammer(note.hammer)
     skin = at["skin"] * scale if "skin" in at else hammer.skin
     hammer = hammer._replace(
@@ -129,7 +129,7 @@ def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float
     if minimum.covariance is None:
         return Measurement(weight, mean, np.diag(variance))
     names, matrix = minimum.covariance.names, _conditional(fit, minimum, minimum.covariance)
-    exponents = _exponents(names, own, midi, float(own.hammer.v_H0) / float(np.max(minimum.velocities)))
+    exponents = _exponents(names, own, midi, float(own.hammer.v_H0) / float(np.max(minimum.stroke_values)))
     if without_prior:
         of_keys = fit.prior and _joint_prior(fit, fit.prior, _scaled_note(note, minimum, 1.0), midi, minimum, names)
         removal = remove_prior(of_keys or prior_of(fit, minimum, names), matrix)
@@ -169,7 +169,7 @@ def _is_fitted(fit: Fit, minimum: Minimum, name: str) -> bool:
 
 def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarray:
     """Covariance of a fit; given the velocity of the loudest stroke if the scale of the velocities is unknown."""
-    matrix, loudest = covariance.matrix, int(np.argmax(minimum.velocities))
+    matrix, loudest = covariance.matrix, int(np.argmax(minimum.stroke_values))
     name = "v_H0" if loudest == fit.reference.stroke else f"v_H0 {loudest + 1}"
     if fit.velocity_scale_open and name in covariance.names:
         fixed = covariance.names.index(name)

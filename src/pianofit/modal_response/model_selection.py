@@ -17,6 +17,7 @@ import numpy as np
 
 from ..dsp.filters import resample
 from ..dsp.loudness import log_mel_distances
+from ..felt import law_of
 from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse
 from ..result import FittedRecording, Result
 from ..schema.modal_response import RENDER_MODELS, FittedModalResponse, LayerEntry, ModalResponseEntry, RenderModel
@@ -45,9 +46,9 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
     """The fit with a modal response in its notes: aftersound, beating, knock and channels.
 
     A calibrated fit keeps the string model, because nothing between its string and its file is unknown. So does a fit
-    whose partials exceed the noise by too little for modes.
+    whose partials exceed the noise by too little for modes, and one without a contact whose force drives the modes.
     """
-    if result.fit.reference.gain_status == "given":
+    if result.fit.reference.gain_status == "given" or not law_of(result.note.hammer).has_contact:
         return result
     progress("ringing", 0.95)
     layers = _layers(result)

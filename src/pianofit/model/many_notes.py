@@ -34,7 +34,7 @@ def _sounding_strokes(strings, hammers, geometries, rates, cfg: StrokesConfig):
     """Tables, pulses, computed steps, and both `pickup_amplitudes`, of strokes with their own `rates`, Hz."""
 
     def one(string, hammer, geometry, rate):
-        modes, pulse, steps = stroke_until_over(string, hammer, geometry, rate, cfg)
+        modes, pulse, steps, _ = stroke_until_over(string, hammer, geometry, rate, cfg)
         return (*modes, *pulse, steps, *pickup_amplitudes(modes, pulse.drive))
 
     return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries, rates)
@@ -87,6 +87,9 @@ def render_notes(notes: Sequence[Note], *, seconds: float = 1.0, rate: int = 44_
 def render_where_possible(notes: Sequence[Note], seconds: float, rate: int) -> list[np.ndarray | None]:
     """Return the sound [samples] of every note; None if its contact does not end, or no contact rate is high enough."""
     sounds: list[np.ndarray | None] = [None] * len(notes)
+    for i, note in enumerate(notes):
+        if not law_of(note.hammer).has_contact:  # a pluck has no contact to compute
+            sounds[i] = note.render(seconds=seconds, rate=rate)
     rates, groups = _shapes(notes, rate)
     for (rows, quantity, law), remaining in groups.items():
         stored = FIRST_STORED
@@ -105,6 +108,8 @@ def _shapes(notes: Sequence[Note], rate: int) -> tuple[np.ndarray, dict[tuple, l
     """Contact rates of the notes, Hz, and indices of the notes of every shape, without those of too high a rate."""
     rates, groups = np.zeros(len(notes)), defaultdict(list)
     for i, note in enumerate(notes):
+        if not law_of(note.hammer).has_contact:
+            continue
         try:
             rates[i] = contact_rate(note.string, note.geometry, rate)
         except ParameterError:

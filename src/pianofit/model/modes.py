@@ -24,6 +24,7 @@ from jaxtyping import Array, Complex, Float
 from ..errors import ParameterError
 from ..io.number_format import summary
 from ..parameters import Geometry, String
+from ..transducer import QUANTITIES, TRANSDUCERS
 from ..x64 import AnyArray, derivative, float64
 
 # One number per mode, in results and in arguments, which may be arrays of NumPy too.
@@ -31,8 +32,6 @@ RealModes = Float[Array, " modes"]
 ComplexModes = Complex[Array, " modes"]
 RealModesLike = Float[AnyArray, " modes"]
 ComplexModesLike = Complex[AnyArray, " modes"]
-
-QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
 
 # A mode at or above this fraction of the contact rate has weight zero: prewarping would distort it too much.
 MAX_RELATIVE_FREQUENCY = 0.4
@@ -129,7 +128,7 @@ def mode_table(
     rate : steps per second of the contact, Hz.
     n_modes : rows; for `finite_difference` also the N points of the paper's grid, h = L/(N + 1).
     quantity : measured quantity: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L.
-        `pressure` is the bridge force before an unknown output path.
+        `pressure` is the bridge force before an unknown output path, and `magnetic-pickup` the velocity before one.
     kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, unchanged).
     strike_weights : Φ_k [modes] of another contact window than the default, from `pianofit.model.window_weights`.
 
@@ -169,12 +168,13 @@ def mode_table(
     alpha = jnp.minimum(string.b1 + string.b2 * eigen, MAX_DAMPING_RATIO * jnp.sqrt(omega2))
     if prewarp:
         weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * MAX_RELATIVE_FREQUENCY, weights, 0.0)
-    if quantity in ("velocity", "displacement"):
+    transducer = TRANSDUCERS[quantity]
+    if transducer.on_string:
         pickup = jnp.sin(beta * geometry.pickup)
     else:
         sign = jnp.where(jnp.arange(n_modes) % 2 == 0, 1.0, -1.0)
         pickup = (string.c**2 * beta + string.kappa**2 * beta**3) * geometry.mass / geometry.length * sign
-    return _rows(omega2, alpha, weights, pickup, quantity != "velocity", geometry.mass, step, prewarp)
+    return _rows(omega2, alpha, weights, pickup, not transducer.reads_velocity, geometry.mass, step, prewarp)
 
 
 def _grid_weights(geometry: Geometry, n: int) -> RealModes:

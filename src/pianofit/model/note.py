@@ -13,13 +13,15 @@ import numpy as np
 from .. import deferred
 from ..dsp.knock import centre, nodes
 from ..errors import ParameterError, check_range, check_type
-from ..felt import RelaxingHammer, SoftHammer
+from ..excitation import GEOMETRY_FIELDS
+from ..felt import law_of
 from ..io.audio import RATES
 from ..io.number_format import summary
-from ..parameters import Geometry, Hammer, String, check_velocity
+from ..parameters import Geometry, String, check_velocity
+from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
-from .contact import strike
 from .damped_sums import z_transform
+from .excite import excite
 from .free_response import level_db, modal_amplitudes
 from .knock import knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
@@ -44,7 +46,7 @@ class Note(NamedTuple):
     Parameters
     ----------
     string, geometry : in SI units; see `String` and `Geometry`.
-    hammer : in SI units; see `Hammer`, `SoftHammer`, `RelaxingHammer` and `FeltLaw.hammer`.
+    hammer : in SI units; see `Hammer`, `SoftHammer`, `RelaxingHammer`, `FeltLaw.hammer` and `Pluck`.
     quantity : measured quantity, see `mode_table`.
     gain : file units (full scale = 1) per unit of the pickup.
     path : output path, dB over frequency, in addition to the gain.
@@ -63,7 +65,7 @@ class Note(NamedTuple):
     """
 
     string: String
-    hammer: Hammer | SoftHammer | RelaxingHammer
+    hammer: Any  # `Hammer`, `SoftHammer`, `RelaxingHammer`, a hammer of a `FeltLaw`, or `Pluck`
     geometry: Geometry
     quantity: str
     gain: float
@@ -83,9 +85,39 @@ class Note(NamedTuple):
         """κ²π²/(c²L²), the inharmonicity: the frequency of partial k is k f0 √(1 + B k²)."""
         return (self.string.kappa * np.pi / (self.string.c * self.geometry.length)) ** 2
 
+    @property
+    def stroke_value(self) -> Any:
+        """Value of the parameter of the stroke: hammer velocity, m/s, or plucking position, m."""
+        name = law_of(self.hammer).stroke.name
+        return (
+            getattr(self.hammer, name) if name in self.hammer._fields else getattr(self.geometry, GEOMETRY_FIELDS[name])
+        )
+
+    def with_stroke(self, value: Any) -> Note:
+        """Return the note with another hammer velocity, m/s, or plucking position, m."""
+        name = law_of(self.hammer).stroke.name
+        if name in self.hammer._fields:
+            return self._replace(hammer=self.hammer._replace(**{name: value}))
+        return self._replace(geometry=self.geometry._replace(**{GEOMETRY_FIELDS[name]: value}))
+
     def with_velocity(self, velocity: float) -> Note:
-        """Return the note with another hammer velocity, m/s."""
-        return self._replace(hammer=self.hammer._replace(v_H0=velocity))
+        """Return the note with another hammer velocity, m/s.
+
+        Raises
+        ------
+        ParameterError
+            If the note is not struck by a hammer.
+        """
+        self._check_struck(velocity)
+        return self.with_stroke(velocity)
+
+    def _check_struck(self, velocity: Any) -> None:
+        """Raise a `ParameterError` if a velocity is given for a note without a hammer."""
+        law = law_of(self.hammer)
+        if velocity is not None and not law.has_contact:
+            raise ParameterError(
+                f"velocity={velocity:g} m/s: the note is {law.words.verb} and has no hammer velocity; leave it out"
+            )
 
     def with_cents(self, cents: float) -> Note:
         """Return the note transposed by `cents`, with the same decay rates.
@@ -210,23 +242,32 @@ class Note(NamedTuple):
         self, velocity: float | np.ndarray | None = None, count: int = 32
     ) -> tuple[np.ndarray, np.ndarray]:
         """Levels as by `levels` [..., partials], and the level of the knock, dB in file units [...]."""
-        velocity = self.hammer.v_H0 if velocity is None else velocity
-        if not is_numeric(velocity):
-            check_type("velocity=", velocity, (), "a number or an array of numbers, m/s")
-        g, v = self.geometry, np.asarray(velocity, float)
+        self._check_struck(velocity)
+        return self.levels_of_strokes(self.stroke_value if velocity is None else velocity, count)
+
+    def levels_of_strokes(self, value: float | np.ndarray, count: int = 32) -> tuple[np.ndarray, np.ndarray]:
+        """Levels and knock as by `levels_and_knock`, of strokes with these values of their parameter [...]."""
+        if not is_numeric(value):
+            check_type("velocity=", value, (), "a number or an array of numbers, m/s")
+        g, v, law = self.geometry, np.asarray(value, float), law_of(self.hammer)
         if not (v.size and np.isfinite(v).all() and v.min() > 0):
-            raise ParameterError(f"velocity={velocity} m/s must be above 0")
+            raise ParameterError(f"{law.words.stroke}: {value} {law.stroke.unit} must be above 0")
         check_range("count=", count, 1, MAX_MODES)
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
-        slow = self.with_velocity(min(SLOWEST_LEVEL_VELOCITY, float(v.min()))).strike(LEVEL_RATE)
-        steps = BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
-        delay = arrival(self.string, g, self.quantity)
-        level, knock = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
+        plain = self._replace(gain=1.0, path=None, modal_response=None)
+        level, knock = _levels(plain, v.ravel(), rate, rows, self._level_steps(float(v.min()), rate))
         frequency = np.append(self.frequencies(count), centre(float(self.f0)))
         path = np.zeros(count + 1) if self.path is None else self.path.at(frequency)
         level = np.column_stack([np.asarray(level)[:, :count], knock]) + 20 * np.log10(np.abs(self.gain)) + path
         return level[:, :count].reshape(*v.shape, count), level[:, count].reshape(v.shape)
+
+    def _level_steps(self, slowest: float, rate: float) -> int:
+        """Steps of the contact for all strokes down to the `slowest` velocity, m/s; one block without contact."""
+        if not law_of(self.hammer).has_contact:
+            return BLOCK
+        slow = self.with_stroke(min(SLOWEST_LEVEL_VELOCITY, slowest)).strike(LEVEL_RATE)
+        return BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
 
 
 jax.tree_util.register_pytree_node(
@@ -237,28 +278,34 @@ jax.tree_util.register_pytree_node(
 
 
 @float64
-@partial(jax.jit, static_argnums=(6, 7, 8))
-def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
-    """Levels of all modes [velocities, modes], dB in the unit of the pickup, and of the knock [velocities], dB."""
-    f0 = string.c / (2 * geometry.length)
+@partial(jax.jit, static_argnums=(3, 4))
+def _levels(note, values, rate, rows, steps):
+    """Levels of all modes [strokes, modes], dB in the unit of the pickup, and of the knock [strokes], dB."""
+    f0 = note.string.c / (2 * note.geometry.length)
     zeta = -2j * jnp.pi * f0 * nodes() / rate
-    modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
 
-    def level_at(v):
-        pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
-        level = level_db(modal_amplitudes(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
+    def level_at(value):
+        own = note.with_stroke(value)
+        modes = mode_table(own.string, own.geometry, rate=rate, n_modes=rows, quantity=own.quantity)
+        pulse, free = excite(modes, own.hammer, law_of(own.hammer), steps=steps, free=None)
+        delay = _arrival(own.string, own.geometry, own.quantity)
+        amplitude = modal_amplitudes(modes, pulse.drive, free) * jnp.exp(modes.pole.real * delay)
         force = jnp.abs(z_transform(pulse.force, zeta)) / rate
-        knock = knock_level(force, f0, geometry.strike_position / geometry.length)
+        knock = knock_level(force, f0, own.geometry.strike_position / own.geometry.length)
         over = pulse.compression[-1] <= 0
-        return jnp.where(over, level, jnp.inf), jnp.where(over, knock, jnp.inf)
+        return jnp.where(over, level_db(amplitude, -modes.pole.real), jnp.inf), jnp.where(over, knock, jnp.inf)
 
-    return jax.vmap(level_at)(velocity)
+    return jax.vmap(level_at)(values)
+
+
+def _arrival(string, geometry, quantity, xp=jnp):
+    end = geometry.pickup if TRANSDUCERS[quantity].on_string else geometry.length
+    return xp.maximum(xp.abs(end - geometry.strike_position) - geometry.width / 2, 0.0) / string.c
 
 
 def arrival(string: String, geometry: Geometry, quantity: str) -> float:
     """Arrival time of the wave from the nearest edge of the contact window at the pickup, s after first contact."""
-    end = geometry.length if quantity in ("bridge-force", "pressure") else geometry.pickup
-    return float(max(abs(end - geometry.strike_position) - geometry.width / 2, 0.0) / string.c)
+    return float(_arrival(string, geometry, quantity, np))
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

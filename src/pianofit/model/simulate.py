@@ -8,14 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError, check_range
-from ..felt import FeltLaw, check_hammer, law_of
+from ..excitation import Excitation
+from ..felt import check_hammer, law_of
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check
+from ..transducer import ON_STRING
 from ..x64 import float64
-from .contact import Pulse, strike
+from .contact import Pulse
+from .excite import excite
 from .free_motion import FreeMotion, free_motion
 from .free_response import waveform
-from .modes import MAX_RELATIVE_FREQUENCY, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
+from .modes import MAX_RELATIVE_FREQUENCY, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .program_cache import persistent_jit
 
 # The error is of second order in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
@@ -133,7 +136,7 @@ class _StrikeConfig(NamedTuple):
     steps: int
     quantity: str
     kind: str
-    law: FeltLaw
+    law: Excitation
 
 
 @persistent_jit
@@ -142,7 +145,7 @@ def _strike(string, hammer, geometry, rate, weights, start, cfg: _StrikeConfig):
     table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity, "kind": cfg.kind}
     modes = mode_table(String(*string), Geometry(*geometry), strike_weights=weights, **table)
     free = None if start is None else free_motion(modes, *start)
-    pulse = strike(modes, cfg.law.hammer_type(*hammer), steps=cfg.steps, free=free)
+    pulse, free = excite(modes, cfg.law.hammer_type(*hammer), cfg.law, steps=cfg.steps, free=free)
     return (*modes, *pulse, *(() if free is None else free))
 
 
@@ -174,7 +177,7 @@ def simulate(
     Parameters
     ----------
     string, geometry : in SI units; see `String` and `Geometry`.
-    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, a hammer of a `FeltLaw`, or a `Pluck`.
     rate : sample rate of the signal, Hz.
     oversampling : contact rate over sample rate; if None as high as the string needs.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.
@@ -238,5 +241,5 @@ def check_geometry(geometry: Geometry, quantity: str) -> None:
         raise ParameterError(f"mass={mass} kg must be from 1e-6 to 10")
     if not (width > 0 and at - width / 2 >= 0 and at + width / 2 <= length):
         raise ParameterError(f"strike={at} m with width={width} m must lie within the string, 0 to {length} m")
-    if quantity in QUANTITIES[:2] and not 0 < pickup < length:
+    if quantity in ON_STRING and not 0 < pickup < length:
         raise ParameterError(f"pickup={pickup} m must lie within the string, 0 to {length} m")

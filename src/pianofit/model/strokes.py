@@ -12,10 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..felt import FeltLaw, law_of
+from ..excitation import Excitation
+from ..felt import law_of
 from ..parameters import Geometry, String
-from .contact import Pulse, strike_until_over
+from .contact import Pulse
 from .damped_sums import BLOCK
+from .excite import excite_until_over
+from .free_motion import FreeMotion
 from .modes import Modes, mode_table
 from .note import Note
 from .program_cache import persistent_jit
@@ -35,7 +38,7 @@ class StrokesConfig(NamedTuple):
     n_modes: int
     steps: int  # stored
     quantity: str
-    law: FeltLaw
+    law: Excitation
 
 
 @persistent_jit
@@ -49,18 +52,24 @@ def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
     """
 
     def one(string, hammer, geometry):
-        modes, pulse, steps = stroke_until_over(string, hammer, geometry, rate, cfg)
-        return (*modes, *pulse, steps)
+        modes, pulse, steps, free = stroke_until_over(string, hammer, geometry, rate, cfg)
+        return (*modes, *pulse, *(free or ()), steps)
 
     return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries)
 
 
-def stroke_until_over(string, hammer, geometry, rate, cfg: StrokesConfig):
-    """Table of modes, pulse, and number of computed steps of one stroke of a batch; fields in their order [fields]."""
+def stroke_until_over(
+    string, hammer, geometry, rate, cfg: StrokesConfig
+) -> tuple[Modes, Pulse, jax.Array, FreeMotion | None]:
+    """Table of modes, pulse, number of computed steps and free motion of one stroke of a batch.
+
+    The arguments are fields in their order [fields]. The free motion is that after a pluck, or None.
+    """
     table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity}
     modes = mode_table(String(*string), Geometry(*geometry), **table)
     hammer = cfg.law.hammer_type(*hammer)
-    return modes, *strike_until_over(modes, hammer, steps=cfg.steps, stored=cfg.steps, batch=BATCH)
+    pulse, steps, free = excite_until_over(modes, hammer, cfg.law, steps=cfg.steps, batch=BATCH)
+    return modes, pulse, steps, free
 
 
 def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrokesConfig]:
@@ -71,7 +80,7 @@ def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[n
     first : stroke of one of the notes.
     """
     modes, step = len(first.modes.pole), float(first.modes.step)
-    steps = STEPS * int(np.ceil(MARGIN * first.last_touch / step / STEPS))
+    steps = STEPS * max(int(np.ceil(MARGIN * first.last_touch / step / STEPS)), 1)
     cfg = StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
     return parameter_arrays(notes), np.float64(1 / step), cfg
 
@@ -88,11 +97,13 @@ def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
     drive = arrays[len(Modes._fields)]
     pressed = drive.shape[1] - np.argmax(drive[:, ::-1] != 0, axis=1)
     steps = np.minimum(steps, BLOCK * (pressed // BLOCK + 1))
-    tables, pulses = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
+    tables, rest = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
+    pulses, motions = rest[: len(Pulse._fields)], rest[len(Pulse._fields) :]
 
     def one(i: int) -> Simulation:
         table: Any = (x[i] for x in tables)
         pulse: Any = (x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses)
-        return Simulation(Modes(*table), Pulse(*pulse), None)
+        free = FreeMotion(*(x[i] for x in motions)) if motions else None
+        return Simulation(Modes(*table), Pulse(*pulse), free)
 
     return [one(i) for i in range(len(steps))]

@@ -22,6 +22,7 @@ import numpy as np
 from ..analysis import SAME_KEY_CENTS, cents_above
 from ..conversions import HALF_WIDTH_95
 from ..errors import FitError
+from ..excitation import HAMMER
 from ..felt import LAWS
 from ..io.files import printable
 from ..io.number_format import log_half_width
@@ -94,6 +95,8 @@ class Sides:
 
     def laws(self) -> tuple[tuple[StaticLaw, StaticLaw] | None, tuple[str, ...]]:
         """Return both static laws up to the smaller of the largest compressions; or None and the reason."""
+        if any(without := [fit.excitation != HAMMER for fit in self.fits]):
+            return None, (f"The felts are not compared: there is not a hammer in {self.where(without)}.",)
         try:
             reach = min(map(largest_compression, self.results))
             first, second = (static_law(result, reach) for result in self.results)

@@ -14,6 +14,7 @@ import re
 from html import escape
 from unicodedata import normalize
 
+from ..excitation import Excitation
 from ..schema.fit import Fit
 from ..schema.quantities import MEANINGS, UNITS
 from .text import SYMBOLS, VELOCITY_RATIO, format_unit
@@ -64,23 +65,41 @@ VARIABLES = {
     "h": ("knock: attack noise of the key", "output/(N s)"),
     "T_60": ("time in which the energy falls by 60 dB", "s"),
 }
-INVARIANT_UNITS = {"f_0": "Hz", "B": "1", "M_H/M_S": "1", "x_0/L": "1", "F/M_S": "N/kg"}
+# Those of an excitation that mean something else there.
+OTHER_VARIABLES = {
+    "pluck": {
+        "q_k": ("displacement of mode k", "m"),
+        "F": ("static force on the string before the release; 0 afterwards", "N"),
+        "ω_k": ("angular frequency of partial k", "1/s"),
+    }
+}
+INVARIANT_UNITS = {
+    "f_0": "Hz",
+    "B": "1",
+    "M_H/M_S": "1",
+    "x_0/L": "1",
+    "pickup/L": "1",
+    "width/L": "1",
+    "F/M_S": "N/kg",
+}
 
 
-def equations(fit: Fit, felt: tuple[str, ...]) -> dict[str, list]:
+def equations(fit: Fit, law: Excitation) -> dict[str, list]:
     """Return the equations of a fit as HTML, and the symbols of its page.
 
     Parameters
     ----------
     fit : the fit. With an output path or measured modes, these have an equation.
-    felt : the formula of the felt law; empty if it has none.
+    law : the excitation; the formula of a felt law may be empty.
 
     Returns
     -------
     `lines`: (name, formulas as HTML). `symbols`: (symbol, meaning, unit), first those of the equations in their order.
     """
     has_modes = fit.modal_response is not None and fit.modal_response.response is not None
-    lines = {"String": STRING, "Hammer": HAMMER, f"Felt: {fit.felt}": felt or USER_LAW}
+    hammer: dict[str, tuple[str, ...]] = {"Hammer": HAMMER, f"Felt: {fit.felt}": law.formula or USER_LAW}
+    string: dict[str, tuple[str, ...]] = {"String": STRING}
+    lines = string | (hammer if law.has_contact else {law.words.player.capitalize(): law.formula})
     lines |= (PATH if fit.pickup.path else GAIN) | (MODES if has_modes else {})
     return {
         "lines": [(name, [_set(formula) for formula in formulas]) for name, formulas in lines.items()],
@@ -100,7 +119,7 @@ def _table(fit: Fit, lines: dict[str, tuple[str, ...]]) -> list[tuple[str, str, 
     """Return the symbols of the equations, then those of the tables that no equation has."""
     common = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
     common |= {symbol: (common[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
-    common |= VARIABLES
+    common |= VARIABLES | OTHER_VARIABLES.get(fit.excitation, {})
     tables = _table_symbols(fit)
     of_law = common | {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
     rows = []

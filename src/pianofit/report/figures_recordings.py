@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..excitation import STROKES
 from ..schema.fit import Fit, PathEntry, RecordingFit
 from .drawing import FITTED, GROUPS, HEIGHT, INITIAL, INK, LINES, MEASURED, make_figure, number_axis, points, span
 
@@ -31,8 +32,9 @@ def draw_recordings(fit: Fit) -> list[Figure]:
     """Draw the levels of the partials, a panel for each recording from soft to loud, with one scale; [] for one."""
     if len(fit.recordings) == 1:
         return []
-    rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].v_H0)
-    figures = [make_figure(_draw_recording, *row, height=0.75 * HEIGHT) for row in rows]
+    rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].stroke_value)
+    unit = STROKES[fit.excitation].unit
+    figures = [make_figure(_draw_recording, *row, unit, height=0.75 * HEIGHT) for row in rows]
     panels = [figure.axes[0] for figure in figures]
     low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
     for axes in panels:
@@ -41,11 +43,11 @@ def draw_recordings(fit: Fit) -> list[Figure]:
     return figures
 
 
-def _draw_recording(axes: Axes, place: int, row: RecordingFit) -> None:
+def _draw_recording(axes: Axes, place: int, row: RecordingFit, unit: str) -> None:
     levels = row.partials
     axes.plot(levels.number, levels.fitted, marker="o", ms=2.6, label="fitted", **LINES["fitted"])
     points(axes, levels.number, levels.measured, levels.error)
-    axes.set_title(f"recording {place}: {row.v_H0:.3g} m/s, error {row.levels.fitted_db:.1f} dB")
+    axes.set_title(f"recording {place}: {row.stroke_value:.3g} {unit}, error {row.levels.fitted_db:.1f} dB")
     axes.set(ylabel="level (dB)", xlabel="partial number k")
 
 
@@ -71,17 +73,20 @@ def _draw_paths(axes: Axes, paths: Sequence[PathEntry]) -> None:
     axes.set_xlim(low - 0.02 * (high - low) - 1.0, high + 0.02 * (high - low) + 1.0)
 
 
-def draw_left_out(recordings: Sequence[LeftOutRecording]) -> list[Figure]:
-    """Draw the errors of each recording left out, in order of velocity, with two references without a model."""
-    return [make_figure(_draw_left_out, recordings, legend_rows=len(LEFT_OUT), columns=1)] if recordings else []
+def draw_left_out(recordings: Sequence[LeftOutRecording], unit: str = "m/s") -> list[Figure]:
+    """Draw the errors of each recording left out, in order of its stroke, with two references without a model.
+
+    `unit` is that of the parameter of a stroke.
+    """
+    return [make_figure(_draw_left_out, recordings, unit, legend_rows=len(LEFT_OUT), columns=1)] if recordings else []
 
 
-def _draw_left_out(axes: Axes, recordings: Sequence[LeftOutRecording]) -> None:
+def _draw_left_out(axes: Axes, recordings: Sequence[LeftOutRecording], unit: str) -> None:
     places = np.arange(len(recordings))
     errors = {name: np.array([getattr(row, name) for row in recordings], float) for name in LEFT_OUT}  # NaN for None
     for name, (label, style) in LEFT_OUT.items():
         axes.plot(places, errors[name], ls="none", mew=1.6, label=label, zorder=3, **style)
     top = span(*errors.values())[1]
     axes.set(ylim=(0.0, 1.12 * max(top, 0.1)), xlim=(-0.5, len(recordings) - 0.5), ylabel="error of the levels (dB)")
-    axes.set_xticks(places, [f"{row.v_H0:.3g} m/s" for row in recordings], color=INK)
+    axes.set_xticks(places, [f"{row.stroke_value:.3g} {unit}" for row in recordings], color=INK)
     axes.tick_params(axis="x", labelrotation=30 if len(recordings) > MOST_UPRIGHT else 0)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..excitation import HAMMER
 from ..io.number_format import (
     format_relative_uncertainty,
     log_half_width,
@@ -47,7 +48,8 @@ WIDEST, NARROWEST = 10.0, 1e-12
 def identifiability_sections(fit: Fit) -> list[tuple[str, list[str]]]:
     """Return (heading, sentences): combinations that are determined, conditional on the model, and undetermined."""
     sections: dict[str, list[str]] = {DETERMINED: [], CONDITIONAL: [], UNDETERMINED: []}
-    for name in ("f0", "B", "x0/L", "F/M_S", "M_H/M_S"):
+    places = [name for name in fit.invariants if name.startswith("x0/L")] or ["x0/L"]
+    for name in ("f0", "B", *places, "pickup/L", "width/L", "F/M_S", "M_H/M_S"):
         quantity = fit.invariants.get(name)
         half = None if quantity is None else log_half_width(quantity.interval)
         if quantity is None or half is None:  # given, or not part of this fit
@@ -67,7 +69,9 @@ def _sentence(fit: Fit, quantity: Quantity, half: float) -> str:
         value, _ = with_interval(quantity.value, quantity.interval)
         return f"Pitch: f₀ = {value} Hz (± {number(1200 * half / math.log(2), 2)} cents)."
     if name != "F/M_S":
-        return f"{_capitalised(MEANINGS[name])}: {name} = {with_half_interval(quantity.value, half)}."
+        return (
+            f"{_capitalised(quantity.meaning or MEANINGS[name])}: {name} = {with_half_interval(quantity.value, half)}."
+        )
     text = f"{_capitalised(quantity.note)}. Divided by the mass of the string: "
     text += f"{name} = {with_half_interval(quantity.value, half, 'N/kg')}."
     stiffness = fit.parameters.get("K_H")
@@ -84,6 +88,8 @@ def _capitalised(words: str) -> str:
 
 def felt_scale(fit: Fit) -> str:
     """Return the assumptions on which force and compression of the felt depend; empty if there are none."""
+    if fit.excitation != HAMMER:
+        return ""
     is_mass_assumed = fit.parameters["M_S"].status == "assumed"
     if not fit.velocity_scale_open:
         return "Forces scale with the assumed mass of the string." if is_mass_assumed else ""
@@ -93,13 +99,15 @@ def felt_scale(fit: Fit) -> str:
 
 def _velocities(fit: Fit) -> list[str]:
     """Return how well the hammer velocities are determined; only their ratios if none was measured."""
+    if fit.excitation != HAMMER:
+        return []  # plucking positions are among the invariants
     if fit.velocity_scale_open:
         noun = "Ratios of the hammer velocities"
         ratios = (q for name, q in fit.invariants.items() if name.startswith(VELOCITY_RATIO))
         intervals = [(q.status, q.interval) for q in ratios]
     else:
         noun = "Hammer velocities"
-        intervals = [(row.v_H0_status, row.v_H0_interval) for row in fit.recordings if len(fit.recordings) > 1]
+        intervals = [(row.stroke_status, row.stroke_interval) for row in fit.recordings if len(fit.recordings) > 1]
     halves = [log_half_width(interval) for status, interval in intervals if status != "not-identifiable"]
     widths = [half for half in halves if half is not None]
     return [f"{noun} (the least certain {format_relative_uncertainty(max(widths))})."] if widths else []

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import FitError, ParameterError
+from ..excitation import STROKES as STROKE_PARAMETERS
 from ..felt import LAWS, law_of
 from ..io.files import json_text, printable, replace_paths
 from ..io.number_format import number
-from ..parameters import PARAMETERS
 from ..result import Result
 from ..schema.decode import builtins_of
 from . import text
@@ -27,6 +27,7 @@ from .figures_recordings import draw_left_out, draw_paths, draw_recordings
 from .html import page_bytes, picture
 from .identifiability import draw_identifiability, felt_scale, identifiability_sections
 from .modal_response import decay_rows, draw_envelopes, draw_spectrograms, modal_response_text
+from .release import draw_release
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 from .static_law import draw_felt
 
@@ -43,6 +44,8 @@ STROKE_SECONDS = 2.5
 # Recordings whose velocities differ by less than this ratio do not define a range of velocities. The slider then goes
 # down and up by the second ratio.
 SMALLEST_RANGE, DEFAULT_RANGE = 1.3, 2.0
+# Figures that an excitation can name.
+EXCITATION_FIGURES = {"release": draw_release, "force": draw_contact, "felt": draw_felt}
 
 
 def report_bytes(result: Result, title: str | None = None, held_out: CrossValidation | None = None) -> bytes:
@@ -75,7 +78,10 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         is_scale_open=fit.velocity_scale_open,
         is_power_law=text.is_power_law(fit),
         has_slow_law=law_of(hammer).slow is not None,
-        equations=equations(fit, law.formula),
+        equations=equations(fit, law),
+        words=law.words,
+        stroke=law.stroke,
+        has_contact=law.has_contact,
         clips=_clips(result),
         modal_response=fit.modal_response and modal_response_text(fit.modal_response),
         decays=decay_rows(result),
@@ -96,15 +102,15 @@ def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dic
             "attack": draw_attacks(result),
             "partials": draw_partials(result),
             "levels": draw_reference_levels(result),
-            "force": draw_contact(result),
             "recordings": draw_recordings(fit),
             "paths": draw_paths(fit),
-            "held_out": draw_left_out(held_out.recordings if held_out else ()),
-            "felt": draw_felt(result),
+            "held_out": draw_left_out(held_out.recordings if held_out else (), STROKE_PARAMETERS[fit.excitation].unit),
             "identifiability": draw_identifiability(result),
             "envelopes": draw_envelopes(result) if fit.modal_response else [],
             "spectrograms": draw_spectrograms(result) if fit.modal_response else [],
         }
+        own = law_of(result.note.hammer).figures
+        figures |= {name: draw(result) if name in own else [] for name, draw in EXCITATION_FIGURES.items()}
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
@@ -140,34 +146,35 @@ def _clips(result: Result) -> list[Clip]:
 
 
 def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
-    """Return sounds of the reference recording's note by velocity, m/s, and whether these are within the recordings.
+    """Return sounds of the reference recording's note by value of the stroke, and if these are within the recordings.
 
-    The range is from the softest to the loudest recording, or from half to twice the velocity of a single one. The
-    sounds are means of the channels and begin `pre_onset_s` before the contact. Velocities that cannot be rendered are
-    left out.
+    The range is that of the recordings, or from half to twice the value of a single one. The sounds are means of the
+    channels and begin `pre_onset_s` before the contact. Strokes that cannot be rendered are left out.
     """
-    velocities = [row.v_H0 for row in result.fit.recordings]
+    velocities = [row.stroke_value for row in result.fit.recordings]
     low, high = min(velocities), max(velocities)
     is_recorded_range = high / low > SMALLEST_RANGE
     if not is_recorded_range:
-        middle, bounds = np.sqrt(low * high), PARAMETERS["v_H0"]
-        low, high = max(middle / DEFAULT_RANGE, bounds.lower), min(middle * DEFAULT_RANGE, bounds.upper)
+        middle = np.sqrt(low * high)
+        lower, upper = law_of(result.note.hammer).stroke.bounds(result.note.geometry)
+        low, high = max(middle / DEFAULT_RANGE, lower), min(middle * DEFAULT_RANGE, upper)
     note, rate, sounds = result.note, result.recording.rate, {}
     for velocity in np.geomspace(low, high, STROKES).tolist():
         with suppress(FitError, ParameterError):  # a contact that does not end cannot be rendered
-            stroke, onset = note.with_velocity(velocity), round(note.pre_onset_s * rate)
+            stroke, onset = note.with_stroke(velocity), round(note.pre_onset_s * rate)
             sounds[velocity] = stroke.render_stroke(rate, int(STROKE_SECONDS * rate), onset)[0]
     return sounds, is_recorded_range
 
 
 def _slider(result: Result) -> dict[str, Any] | None:
-    """Return the velocity slider: sounds with one gain, and its initial position; None without two sounds."""
+    """Return the slider of the stroke: sounds with one gain, and its initial position; None without two sounds."""
     strokes, is_recorded_range = strokes_of(result)
     if len(strokes) < 2:
         return None
-    sounds = {f"{number(velocity, 3)} m/s": samples for velocity, samples in strokes.items()}
+    unit = law_of(result.note.hammer).stroke.unit
+    sounds = {f"{number(velocity, 3)} {unit}": samples for velocity, samples in strokes.items()}
     clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
-    first = int(np.abs(np.log(np.array([*strokes]) / result.note.hammer.v_H0)).argmin())
+    first = int(np.abs(np.log(np.array([*strokes]) / result.note.stroke_value)).argmin())
     return {"clips": clips, "first": first, "is_recorded_range": is_recorded_range}
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
+from ..felt import law_of
 from ..result import Result
 from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
@@ -46,7 +47,14 @@ class Plots:
 
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the force of the hammer on the string, N over ms from the first contact, before and after the fit."""
+        self._check_figure("force")
         return drawn_on(ax, lambda axes: draw_force(axes, self.result), label)
+
+    def _check_figure(self, name: str) -> None:
+        """Raise a `FitError` if the excitation of the fit does not have a figure."""
+        law = law_of(self.result.note.hammer)
+        if name not in law.figures:
+            raise FitError(f"plot.{name}: the string is {law.words.verb}, so the fit has no such figure")
 
     def felt(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the static force of the felt, N over mm of compression, with its 95 % band.
@@ -56,6 +64,7 @@ class Plots:
 
         Raises `FitError` if the fit was loaded from a file without a covariance.
         """
+        self._check_figure("felt")
         law = static_law(self.result)
         return drawn_on(ax, lambda axes: draw_static_law(axes, law), label)
 

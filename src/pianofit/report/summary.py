@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..analysis import nearest_note
+from ..excitation import STROKES
 from ..io.number_format import columns, format_with_interval
 from ..model import Simulation
 from ..result import Result
@@ -31,7 +32,7 @@ def fit_summary(result: Result) -> str:
     errors = f"initial {levels.initial_db:.2f} dB{only}, fitted {levels.fitted_db:.2f} dB"
     lines.append(f"{levels.partials} {where}: {errors}")
     lines += [] if fit.modal_response is None else [modal_response_line(fit.modal_response)]
-    lines += [_recording_line(recording) for recording in fit.recordings if several]
+    lines += [_recording_line(recording, STROKES[fit.excitation].unit) for recording in fit.recordings if several]
     for name, value in criterion.bands.items():
         lines.append(f"criterion, {name:7} {value.initial:10.4g} -> {value.final:.4g}")
     if criterion.excluded_bands:
@@ -54,7 +55,7 @@ def _quantity_lines(table: Quantities) -> list[str]:
     for name, quantity in table.items():
         unbounded = ", ".join(ends[end] for end in quantity.interval_unbounded)
         status = quantity.status + (f" ({unbounded})" if unbounded else "")
-        if name.startswith("v/"):
+        if name.startswith(("v/", "x0/L")) and quantity.note:
             status += f"  {Path(quantity.note).name}"
         elif name in ("F/M_S", "felt_force", "local_exponent"):
             status += f"  {quantity.note}"
@@ -63,10 +64,10 @@ def _quantity_lines(table: Quantities) -> list[str]:
     return [*columns(rows, right=1), ""]
 
 
-def _recording_line(row: RecordingFit) -> str:
+def _recording_line(row: RecordingFit, unit: str) -> str:
     channel = f" ({row.channel})" * (row.channel not in ("mono", "average"))
     return (
-        f"{Path(row.file).name}{channel}{' (the reference)' * row.is_reference}: {row.v_H0:.3g} m/s, "
+        f"{Path(row.file).name}{channel}{' (the reference)' * row.is_reference}: {row.stroke_value:.3g} {unit}, "
         f"gain {row.gain:.3g}, {row.pitch_offset_cents:+.2f} cents, "
         f"levels {row.levels.initial_db:.1f} -> {row.levels.fitted_db:.2f} dB"
     )

@@ -98,14 +98,18 @@ def minima(fit: Fit) -> tuple[list[tuple[str, str]], list[tuple[str, str, list[s
     if len(fit.minima) < 2:
         return None
     felt = [name for name in fit.parameters if name not in NOT_FELT]
-    names = [name for name in (*felt, "M_H", "x0") if len({m.parameters.get(name) for m in fit.minima}) > 1]
+    names = [
+        name
+        for name in (*felt, "M_H", "x0", "pickup", "width")
+        if len({m.parameters.get(name) for m in fit.minima}) > 1
+    ]
     lowest = min(minimum.negative_log_posterior for minimum in fit.minima)
     table = [
         (
             "< 1 %" if minimum.weight < 0.005 else f"{100 * minimum.weight:.0f} %",
             number(minimum.negative_log_posterior - lowest, 2),
             [number(minimum.parameters.get(name), 4) for name in names],
-            ", ".join(number(velocity, 3) for velocity in minimum.velocities.tolist()),
+            ", ".join(number(velocity, 3) for velocity in minimum.stroke_values.tolist()),
         )
         for minimum in fit.minima
     ]

@@ -63,6 +63,7 @@ def build_result(fit: InferenceResult) -> Result:
     records = _records(fit, recordings, velocities)
     record = Fit(
         recipe="default",
+        excitation=problem.initial_values.law.kind,  # pyright: ignore[reportArgumentType]
         felt=problem.initial_values.law.name,
         seed=fit.seed,
         converged=bool(found.minima.converged[0]),
@@ -121,7 +122,7 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
                 weight=float(weight),
                 negative_log_posterior=float(minima.nll[b]),
                 parameters={n: u.value(n, log[n]) for n in u.reported if log[n] > LOG_ABSENT_LOSS},
-                velocities=np.exp(minima.candidates.theta[b, u.velocities]),
+                stroke_values=np.exp(minima.candidates.theta[b, u.velocities]),
                 path_db=None if path is None else path.db,
                 path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
                 covariance=covariance_of(fit, b),
@@ -162,14 +163,15 @@ def _draws(fit: InferenceResult, record: Fit, view: IntervalResult) -> Draws:
         return np.asarray(draws[name] if name in draws else record.parameters[name].value)
 
     length, mass = drawn("L"), drawn("M_S")
-    table = {
-        "f0": drawn("c") / (2 * length),
-        "B": (drawn("kappa") * np.pi / (drawn("c") * length)) ** 2,
-        "M_H/M_S": drawn("M_H") / mass,
-        "x0/L": drawn("x0") / length,
-    }
-    strokes = {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
-    table |= {name: draws[own] / drawn("v_H0") for name, own in strokes.items() if own in draws}
+    table = {"f0": drawn("c") / (2 * length), "B": (drawn("kappa") * np.pi / (drawn("c") * length)) ** 2}
+    if u.law.has_contact:
+        table |= {"M_H/M_S": drawn("M_H") / mass}
+        strokes = {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
+        table |= {name: draws[own] / drawn("v_H0") for name, own in strokes.items() if own in draws}
+    places = [name for name in (*record.parameters, *draws) if name.partition(" ")[0] in ("x0", "width", "pickup")]
+    for name in places:
+        of, _, number = name.partition(" ")
+        table[f"{of}/L {number}".rstrip()] = drawn(name) / length
     if "F/M_S" in record.invariants:
         # At the reference velocity shown, if a common scale of the velocities is unknown.
         scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
@@ -201,10 +203,10 @@ def record_of(
         channel=source.channel,
         rate=source.rate,
         onset_s=source.onset / source.rate,
-        v_H0=velocity.value,
-        v_H0_interval=velocity.interval,
-        v_H0_status=velocity.status,
-        v_H0_initial=velocity.initial,
+        stroke_value=velocity.value,
+        stroke_interval=velocity.interval,
+        stroke_status=velocity.status,
+        stroke_initial=velocity.initial,
         note=fitted.analysis.note,
         gain=fitted.fitted.note.gain,
         gain_status="given" if calibrated else "fitted",

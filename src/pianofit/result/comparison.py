@@ -179,7 +179,8 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = fit.level(start)
     fitted = np.asarray(problem.observed.level.value) - integrated.residual - integrated.discrepancy
-    reference_hammer = None if problem.calibrated else fit.reference_hammer_level
+    has_reference = problem.parametrisation.law.has_contact and not problem.calibrated
+    reference_hammer = fit.reference_hammer_level if has_reference else None
     compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
@@ -203,7 +204,8 @@ def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
     """The note of recording `i` at parameters `z` [size], without an output path."""
     u, problem = fit.problem.parametrisation, fit.problem
     hammer = u.hammer(z, problem.structure.stroke[i])
-    return Note(u.string(z), hammer, u.geometry_at(z), problem.initial_values.quantity, 1.0, None)
+    geometry = u.geometry_at(z, problem.structure.stroke[i])
+    return Note(u.string(z), hammer, geometry, problem.initial_values.quantity, 1.0, None)
 
 
 # --- alignment of a simulated attack with a recorded one --------------------------------------------------------------

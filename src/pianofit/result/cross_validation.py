@@ -17,6 +17,7 @@ import numpy as np
 from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
 from ..errors import FitError, check_type
+from ..felt import law_of
 from ..inference import run_inference
 from ..io.number_format import counted
 from ..parameters import check_seed
@@ -36,8 +37,8 @@ class LeftOutRecording:
     """Errors of the prediction of one recording, and of its neighbours in its place; None where there is none."""
 
     file: str
-    v_H0: float  # m/s, in the fit of all recordings
-    predicted_v_H0: float | None  # None if no other recording has its output path
+    stroke_value: float  # velocity, m/s, or plucking position, m, in the fit of all recordings
+    predicted_stroke_value: float | None  # None if no other recording has its output path
     predicted_db: float | None  # rms over partials
     partials: int | None
     nearest_db: float | None  # of the nearer neighbour in velocity
@@ -146,7 +147,7 @@ def _validation(
 ) -> CrossValidation:
     """The errors of every recording, by velocity, and their median and maximum."""
     fitted = complete.fit.recordings
-    order = sorted(range(len(fitted)), key=lambda i: fitted[i].v_H0)
+    order = sorted(range(len(fitted)), key=lambda i: fitted[i].stroke_value)
     recordings = [_left_out(i, order, fitted, predicted[i], analyses) for i in order]
     inner = [own.predicted_db for own in recordings if own.has_neighbours and own.predicted_db is not None]
     warnings = [
@@ -156,10 +157,10 @@ def _validation(
         if own.predicted_db is None
     ]
     warnings += [
-        f"{Path(fitted[i].file).name} is predicted at {p.velocity:.3g} m/s, at the limit of the searched range: "
-        "its velocity could not be determined."
+        f"{Path(fitted[i].file).name} is predicted at {p.stroke_value:.3g} {p.stroke.unit}, at the limit of the "
+        f"searched range: its {law_of(p.note.hammer).words.stroke} could not be determined."
         for i, p in predicted.items()
-        if p is not None and p.velocity_at_search_limit
+        if p is not None and p.at_search_limit
     ]
     median, worst = (float(np.median(inner)), max(inner)) if inner else (None, None)
     return CrossValidation(tuple(recordings), median, worst, tuple(warnings), complete)
@@ -179,8 +180,8 @@ def _left_out(
     errors = [_difference_db(analyses[i], other) for other in neighbours]
     return LeftOutRecording(
         file=fitted[i].file,
-        v_H0=fitted[i].v_H0,
-        predicted_v_H0=prediction.velocity if prediction else None,
+        stroke_value=fitted[i].stroke_value,
+        predicted_stroke_value=prediction.stroke_value if prediction else None,
         predicted_db=prediction.error_db if prediction else None,
         partials=prediction.partials if prediction else None,
         nearest_db=min(errors, default=None),

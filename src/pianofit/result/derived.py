@@ -22,7 +22,8 @@ import numpy as np
 
 from ..conversions import HALF_WIDTH_95, T60_NEPERS
 from ..errors import FitError, ParameterError
-from ..felt import LAWS, FeltLaw, law_of
+from ..excitation import Excitation
+from ..felt import LAWS, law_of
 from ..inference.batched_model import run_in_batches
 from ..io.number_format import format_with_interval, is_number
 from ..model import Simulation
@@ -122,15 +123,16 @@ class DrawSet:
     at_reference_velocity: bool = True
 
     @cached_property
-    def law(self) -> FeltLaw:
-        """The felt law. One of this package is known by name, because several share a type of hammer."""
+    def law(self) -> Excitation:
+        """The excitation. A felt law of this package is known by name, because several share a type of hammer."""
         return LAWS.get(self.fit.felt) or law_of(self.best.hammer)
 
     @cached_property
     def _best_values(self) -> dict[str, float]:
         values = {name: float(quantity.value) for name, quantity in self.fit.parameters.items()}
         own = self.fit.reference.stroke
-        return values | {f"v_H0 {r.stroke + 1}": r.v_H0 for r in self.fit.recordings if r.stroke != own}
+        name = self.law.stroke.name
+        return values | {f"{name} {r.stroke + 1}": r.stroke_value for r in self.fit.recordings if r.stroke != own}
 
     @cached_property
     def _joint(self) -> JointDraws:
@@ -203,8 +205,8 @@ class DrawSet:
     def _status(self, name: str) -> Status:
         if name in self.fit.parameters:
             return self.fit.parameters[name].status
-        stroke = int(name.removeprefix("v_H0 ")) - 1
-        return next(own.v_H0_status for own in self.fit.recordings if own.stroke == stroke)
+        stroke = int(name.rpartition(" ")[2]) - 1
+        return next(own.stroke_status for own in self.fit.recordings if own.stroke == stroke)
 
     def _scales(self, best: float, probed: Mapping[str, float]) -> Iterable[str]:
         """Yield what a quantity scales with and was not measured."""
@@ -258,18 +260,20 @@ def _note(note: Note, values: Mapping[str, float]) -> Note:
     width = values.get("width", g.width)
     # The contact window stays on the string.
     strike = min(max(values["x0"], width / 2), values["L"] - width / 2)
+    is_entry = "pickup" in law_of(hammer).columns
+    pickup = values.get("pickup", g.pickup) if is_entry else g.pickup * values["L"] / g.length
     sizes = {"length": values["L"], "mass": values["M_S"], "strike_position": strike, "width": width}
     return note._replace(
         string=string._replace(**{name: values[name] for name in string._fields}),
         hammer=hammer._replace(**{name: values[name] for name in hammer._fields if name in values}),
-        geometry=g._replace(**sizes, pickup=g.pickup * values["L"] / g.length),
+        geometry=g._replace(**sizes, pickup=pickup),
     )
 
 
 # --- scalings that change no sound ------------------------------------------------------------------------------------
 
 
-def scale_velocity(values: Mapping[str, Any], law: FeltLaw, s: Any) -> dict[str, Any]:
+def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:
     """Return values with all velocities times `s`; only a felt law with a power has this scaling."""
     scaled = {name: value * s for name, value in values.items() if name.startswith("v_H0")}
     if law.power is None:
@@ -281,12 +285,14 @@ def scale_velocity(values: Mapping[str, Any], law: FeltLaw, s: Any) -> dict[str,
     return {**values, **scaled}
 
 
-def scale_mass(values: Mapping[str, Any], law: FeltLaw, s: Any) -> dict[str, Any]:
+def scale_mass(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:
     """Return values with all masses times `s`."""
-    return {**values, **{name: values[name] * s for name in (*law.parameters_with_unit("N"), "M_H", "M_S")}}
+    names = (*law.parameters_with_unit("N"), "M_H", "M_S")
+    return {**values, **{name: values[name] * s for name in names if name in values}}
 
 
-def scale_length(values: Mapping[str, Any], _: FeltLaw, s: Any) -> dict[str, Any]:
+def scale_length(values: Mapping[str, Any], _: Excitation, s: Any) -> dict[str, Any]:
     """Return values with the string's lengths times `s`."""
-    powers = {"L": 1, "x0": 1, "width": 1, "c": 1, "kappa": 2, "b2": 2}
-    return {**values, **{name: values[name] * s**power for name, power in powers.items() if name in values}}
+    powers = {"L": 1, "x0": 1, "width": 1, "pickup": 1, "c": 1, "kappa": 2, "b2": 2}
+    places = {name: values[name] * s for name in values if name.startswith("x0 ")}
+    return {**values, **places, **{name: values[name] * s**power for name, power in powers.items() if name in values}}

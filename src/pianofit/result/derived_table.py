@@ -24,16 +24,13 @@ AT_REFERENCE = ("felt_force", "local_exponent")
 def derived_quantities(draws: DrawSet) -> Quantities:
     """Return the derived quantities of a fit with intervals and statuses.
 
-    They are contact time, largest force and compression of the reference stroke, the felt force at the reference
-    compression and its exponent there, the energy lost in the felt, and T60 of the partials 1, 2, 4 and so on up to the
-    highest detected one.
+    With a hammer they are contact time, largest force and compression of the reference stroke, the felt force at the
+    reference compression and its exponent there, and the energy lost in the felt. All fits have T60 of the partials 1,
+    2, 4 and so on up to the highest detected one.
     """
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
-    table = STROKE | {
-        "felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u)),
-        "local_exponent": ("1", lambda draw: draw.local_exponent(1e-3 * u)),
-    }
+    table = of_contact(u) if draws.law.has_contact else {}
     table |= {f"{T60}{k}": ("s", partial(_t60, k)) for k in _octaves(fit)}
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
@@ -43,6 +40,14 @@ def derived_quantities(draws: DrawSet) -> Quantities:
         return Quantity(name, found.value, unit, found.interval, found.status, meaning_of(name), note, None, own)
 
     return Quantities.of(quantity(name, *entry) for name, entry in table.items())
+
+
+def of_contact(u: float) -> dict[str, tuple[str, Callable[[ModelDraw], float]]]:
+    """Return the functions of a hammer's contact, with its felt at the compression `u`, mm."""
+    return STROKE | {
+        "felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u)),
+        "local_exponent": ("1", lambda draw: draw.local_exponent(1e-3 * u)),
+    }
 
 
 def with_force_interval(draws: DrawSet) -> Quantities:

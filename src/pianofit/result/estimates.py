@@ -12,6 +12,7 @@ from ..inference import LOG_ABSENT_LOSS, InferenceResult, InitialValues, Interva
 from ..parameters import FIT_NAMES
 from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
+from ..transducer import TRANSDUCERS
 from .statement import felt_force_name
 from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
@@ -32,18 +33,17 @@ def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
 def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
     """The velocity of every stroke."""
     problem, u = fit.problem, fit.problem.parametrisation
-    table = []
+    table, stroke = [], u.law.stroke
     for at, measured, status in zip(
         range(u.size)[u.velocities], problem.measured_velocity, velocity_statuses(fit), strict=True
     ):
         value = float(np.exp(fit.estimate.theta[at])) if measured is None or u.free[at] else float(measured)
-        note = "its scale comes from the prior" if status == "scaled" else ""
-        quantity = Quantity(
-            "v_H0", value, UNITS["v_H0"], None, status, meaning_of("v_H0"), note, float(np.exp(fit.initial_theta[at]))
-        )
+        scale = "its scale comes from the prior" if problem.velocity_scale_free else "scales with the assumed L"
+        note, initial = scale if status == "scaled" else "", float(np.exp(fit.initial_theta[at]))
+        quantity = Quantity(stroke.name, value, stroke.unit, None, status, stroke.meaning, note, initial)
         interval = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
         if at == problem.reference_velocity_index:
-            interval = fit.alternative_interval("v_H0") or interval
+            interval = fit.alternative_interval(stroke.name) or interval
         table.append(_with_interval(quantity, interval))
     return table
 
@@ -51,7 +51,7 @@ def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
 def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Quantity) -> Quantities:
     """Every parameter; `velocity` is that of the reference stroke."""
     u, start = fit.problem.parametrisation, fit.problem.initial_values
-    log, table = fit.posterior.mean[0], {"v_H0": velocity}
+    log, table = fit.posterior.mean[0], {velocity.name: velocity}
     for name in u.reported:
         i = u.index_of(name)
         unit, meaning = unit_of(name, u.law), meaning_of(name, u.law)
@@ -72,7 +72,8 @@ def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Qua
         table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
     last = len(PARAMETER_ORDER)
     order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
-    return Quantities.of([*(table[name] for name in order), *(_size(fit, quantity) for quantity in sizes(start))])
+    others = [quantity for quantity in sizes(start) if quantity.name not in table]
+    return Quantities.of([*(table[name] for name in order), *(_size(fit, quantity) for quantity in others)])
 
 
 def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
@@ -98,12 +99,30 @@ def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities
     table = [
         _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
         _combined("B", fit.gauge_fixed, direction, B, "1", states),
-        _ratio(fit, states, "M_H/M_S", "M_H", "M_S"),
-        _ratio(fit, states, "x0/L", "x0", "L"),
     ]
+    if not u.law.has_contact:
+        return Quantities.of([*table, *_places(fit, states)])
+    table += [_ratio(fit, states, "M_H/M_S", "M_H", "M_S"), _ratio(fit, states, "x0/L", "x0", "L")]
     if (direction := force_direction(fit)) is not None:
         table.append(_static_force(fit, states, direction))
     return Quantities.of([*table, *_velocity_ratios(fit)])
+
+
+def _places(fit: InferenceResult, states: Mapping[str, Status]) -> list[Quantity]:
+    """The plucking position of every stroke, that of the pickup, and the width, over the string length."""
+    problem, u = fit.problem, fit.problem.parametrisation
+    length, over = _size_value(fit, "L"), _unit(u, "L")
+    table = []
+    for stroke, state in enumerate(velocity_statuses(fit)):
+        at = u.shared + stroke
+        file = Path(problem.recordings[problem.structure.stroke.index(stroke)].path).name
+        name = "x0/L" if at == problem.reference_velocity_index else f"x0/L {stroke + 1}"
+        value = float(np.exp(fit.posterior.mean[0, at])) / length
+        note = file if u.strokes > 1 else ""
+        quantity = _combined(name, fit.posterior, np.eye(u.size)[at] - over, value, "1", {"x0": state}, note)
+        table.append(replace(quantity, meaning=f"{fit.problem.parametrisation.law.words.stroke} over string length"))
+    table.sort(key=lambda quantity: quantity.name)
+    return [*table, *(_ratio(fit, states, f"{n}/L", n, "L") for n in ("pickup", "width") if n in u.reported)]
 
 
 def _unit(u: Parametrisation, name: str) -> np.ndarray:
@@ -208,5 +227,5 @@ def sizes(start: InitialValues) -> list[Quantity]:
         fixed_quantity(name, value, "assumed" if key in start.assumed else "given")
         for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
     ]
-    on_string = start.quantity in ("velocity", "displacement")
+    on_string = TRANSDUCERS[start.quantity].on_string
     return [*table, fixed_quantity("pickup", g.pickup, "given")] if on_string else table

@@ -25,7 +25,7 @@ class RenderedFit:
     frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
 
     def __repr__(self) -> str:
-        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
+        return f"Sound of {len(self.samples)} samples, stroke {self.note.stroke_value:.3g}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

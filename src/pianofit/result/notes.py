@@ -35,7 +35,7 @@ def notes_of(fit: InferenceResult, which: int) -> list[Note]:
         Note(
             string._replace(c=string.c * analysis.f0 / f0),
             u.hammer(z, stroke),
-            u.geometry_at(z),
+            u.geometry_at(z, stroke),
             problem.initial_values.quantity,
             1.0,
             paths[path],

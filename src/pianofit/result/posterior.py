@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS, FeltLaw
+from ..excitation import Excitation
+from ..felt import ALL_PARAMETERS
 from ..inference import Posterior
 from ..schema.fit import Fit, Minimum
 from ..sobol import sobol_points
@@ -80,7 +81,7 @@ class JointDraws:
         return line, centre, sd
 
 
-def joint_draws(fit: Fit, law: FeltLaw, sampled: Mapping[str, np.ndarray] | None = None) -> JointDraws:
+def joint_draws(fit: Fit, law: Excitation, sampled: Mapping[str, np.ndarray] | None = None) -> JointDraws:
     """Return draws of the posterior of a fit.
 
     Parameters
@@ -91,7 +92,7 @@ def joint_draws(fit: Fit, law: FeltLaw, sampled: Mapping[str, np.ndarray] | None
     if sampled is not None:
         count = next(iter(sampled.values())).size
         kept = np.linspace(0, count - 1, min(count, MOST_SAMPLED)).round().astype(int)
-        names = (name for name in sampled if name in fixed or name.startswith("v_H0 "))
+        names = (name for name in sampled if name in fixed or name.startswith(f"{fit.stroke_name} "))
         return JointDraws(fixed | {name: sampled[name].ravel()[kept] for name in names})
     if fit.covariance is None:
         if fit.has_intervals:
@@ -109,7 +110,7 @@ def joint_draws(fit: Fit, law: FeltLaw, sampled: Mapping[str, np.ndarray] | None
     return JointDraws(fixed | values, standard[:, :free], which, weight)
 
 
-def _gaussian(fit: Fit, law: FeltLaw, minimum: Minimum, standard: np.ndarray) -> np.ndarray:
+def _gaussian(fit: Fit, law: Excitation, minimum: Minimum, standard: np.ndarray) -> np.ndarray:
     """Return logarithms [draws, names] about one minimum from standard normal numbers [draws, names]."""
     covariance = minimum.covariance
     if covariance is None:
@@ -117,9 +118,10 @@ def _gaussian(fit: Fit, law: FeltLaw, minimum: Minimum, standard: np.ndarray) ->
     names, reference = covariance.names, fit.reference.stroke
 
     def value(name: str) -> float:
-        stroke = reference if name == "v_H0" else int(name[5:]) - 1 if name.startswith("v_H0 ") else None
+        of, _, number = name.partition(" ")
+        stroke = None if of != fit.stroke_name else int(number) - 1 if number else reference
         if stroke is not None:
-            return float(minimum.velocities[stroke])
+            return float(minimum.stroke_values[stroke])
         # Sizes are the same at all minima. A scale of the pickup is drawn as a ratio to its given value.
         return minimum.parameters.get(name, fit.parameters[name].value if name in fit.parameters else 1.0)
 
@@ -153,7 +155,7 @@ def _root(covariance: np.ndarray) -> np.ndarray:
     return (sd[:, None] * axes * np.sqrt(np.maximum(variance, 0.0)))[:, ::-1]
 
 
-def _within_bounds(fit: Fit, law: FeltLaw, log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _within_bounds(fit: Fit, law: Excitation, log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the logarithms, moved to the nearest bound of the search where they exceed it.
 
     A search bound that the posterior reaches is an end of the interval in the fit.

@@ -17,7 +17,9 @@ from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_not
 from ..criterion import level_error_db
 from ..dsp.knock import centre
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
-from ..inference.priors import KNOCK_SD, LEVEL, VELOCITY, VELOCITY_SD, log_gain
+from ..excitation import StrokeParameter
+from ..felt import law_of
+from ..inference.priors import KNOCK_SD, LEVEL, log_gain
 from ..io.files import printable, short_repr
 from ..io.number_format import counted
 from ..model.note import SLOWEST_LEVEL_VELOCITY, Note
@@ -42,19 +44,38 @@ ENDLESS_CONTACT_COST = 1e6
 class Prediction:
     """Prediction of one recording by a fit."""
 
-    velocity: float  # m/s
+    stroke_value: float  # hammer velocity, m/s, or plucking position, m
     gain_db: float  # relative to the gain of the fit
     pitch_offset_cents: float  # relative to the pitch of the fit
     error_db: float  # rms over partials, one gain removed
     partials: int
     level: np.ndarray  # dB, predicted, with velocity discrepancy [partials]
     note: Note  # of the best minimum, without velocity discrepancy
-    velocity_at_search_limit: bool = False  # if True, the velocity could not be determined
+    at_search_limit: bool = False  # if True, the value of the stroke could not be determined
+
+    @property
+    def stroke(self) -> StrokeParameter:
+        """The parameter of the stroke."""
+        return law_of(self.note.hammer).stroke
+
+    @property
+    def velocity(self) -> float:
+        """The hammer velocity, m/s.
+
+        Raises
+        ------
+        ParameterError
+            If the string is not struck by a hammer.
+        """
+        if self.stroke.name != "v_H0":
+            raise ParameterError(f"velocity: the string has no hammer; use stroke_value, its {self.stroke.name}")
+        return self.stroke_value
 
     def __repr__(self) -> str:
-        limit = ", at the limit of the searched range" if self.velocity_at_search_limit else ""
+        limit = ", at the limit of the searched range" if self.at_search_limit else ""
         return (
-            f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.velocity:.3g} m/s"
+            f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.stroke.name} "
+            f"= {self.stroke_value:.3g} {self.stroke.unit}"
             f"{limit}, {self.pitch_offset_cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
         )
 
@@ -117,9 +138,10 @@ def predict_recording(
     level = np.sum([weight / total * (levels + gain) for weight, _, levels, gain in fitted], axis=0)
     _, velocity, _, gain = fitted[0]
     cents = cents_above(analysis.f0, first.f0)
-    note = first.with_cents(cents).with_velocity(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
+    note = first.with_cents(cents).with_stroke(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     error = level_error_db(level[chosen], p.level[chosen])
-    at_limit = not SLOWEST_LEVEL_VELOCITY * LIMIT_RATIO < velocity < FASTEST / LIMIT_RATIO
+    low, *_, high = scanned_values(first)
+    at_limit = not low * LIMIT_RATIO < velocity < high / LIMIT_RATIO
     return Prediction(velocity, gain, cents, error, int(chosen.sum()), level, note, at_limit)
 
 
@@ -169,7 +191,8 @@ def _fit_velocity(
 
     The priors matter for few partials: three can agree with a velocity that no pianist plays.
     """
-    p = analysis.partials
+    p, law = analysis.partials, law_of(note.hammer)
+    median, sd = law.stroke.prior(note.geometry)
     fitted_knock = note.path is not None and note.path.has(centre(float(note.f0)))
     measured_knock = analysis.knock if fitted_knock and np.isfinite(analysis.knock) else None
     precision = np.full(chosen.sum(), LEVEL.median[0] ** -2)
@@ -178,7 +201,7 @@ def _fit_velocity(
     def cost(log_velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Negative log posterior (infinite if a contact does not end), levels [velocities, partials], gains, dB."""
         velocity = np.exp(log_velocity)
-        level, knock = note.levels_and_knock(velocity, int(p.number.max()))
+        level, knock = note.levels_of_strokes(velocity, int(p.number.max()))
         level = level[:, p.number - 1]
         if note.path is not None:
             level = level + note.path.velocity_discrepancy_db(_frequency(note, p.number), velocity)
@@ -187,14 +210,15 @@ def _fit_velocity(
         residual = np.where(finite[:, None], residual, 0.0)
         gain = residual @ precision / precision.sum()
         misfit = 0.5 * (residual - gain[:, None]) ** 2 @ precision
-        prior = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SD) ** 2
-        return np.where(finite, misfit + prior - np.array([log_gain(x, gains) for x in gain]), np.inf), level, gain
+        prior = 0.5 * ((log_velocity - np.log(median)) / sd) ** 2
+        of_gain = np.array([log_gain(x, gains, law.gain_deviations) for x in gain])
+        return np.where(finite, misfit + prior - of_gain, np.inf), level, gain
 
-    grid = np.log(np.geomspace(SLOWEST_LEVEL_VELOCITY, FASTEST, GRID_SIZE))
+    grid = np.log(scanned_values(note))
     value = cost(grid)[0]
     grid, value = grid[np.isfinite(value)], value[np.isfinite(value)]
     if not len(grid):
-        raise FitError("no velocity gives a finite sound; check that the fit is of the same key")
+        raise FitError("no stroke gives a finite sound; check that the fit is of the same key")
     best = int(np.argmin(value))
     bracket = grid[[max(best - 1, 0), min(best + 1, len(grid) - 1)]]
     from scipy.optimize import fminbound  # only predictions need it
@@ -202,6 +226,15 @@ def _fit_velocity(
     log_velocity: Any = fminbound(lambda x: min(cost(np.array([x]))[0][0], ENDLESS_CONTACT_COST), *bracket, xtol=1e-4)
     _, (level,), (gain,) = cost(np.array([log_velocity]))
     return float(np.exp(log_velocity)), level, float(gain)
+
+
+def scanned_values(note: Note) -> np.ndarray:
+    """Values of the stroke's parameter that a prediction compares, ascending."""
+    law = law_of(note.hammer)
+    if law.has_contact:
+        return np.geomspace(SLOWEST_LEVEL_VELOCITY, FASTEST, GRID_SIZE)
+    low, high = law.stroke.bounds(note.geometry)
+    return np.linspace(low, high, GRID_SIZE)
 
 
 def _detected(note: Note, number: np.ndarray) -> np.ndarray:

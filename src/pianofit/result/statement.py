@@ -12,6 +12,7 @@ from ..inference.parametrisation import Parametrisation
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..schema.fit import LevelErrors
 from ..schema.quantities import Covariance, Status
+from .released_statement import released_statement
 from .statuses import (
     FELT_EXCESS_DB,
     HAMMER_EXCESS_DB,
@@ -31,7 +32,10 @@ def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status]
     keyboard = KEYBOARD_PRIOR if fit.problem.key_prior is not None else ""
     if fit.problem.calibrated:
         return _calibrated(fit, states) + keyboard
-    problem, law, compared = fit.problem, fit.problem.parametrisation.law, path_compared(fit)
+    problem, law = fit.problem, fit.problem.parametrisation.law
+    if not law.has_contact:
+        return released_statement(fit, states, levels)
+    compared = path_compared(fit)
     start = problem.initial_values
     hammer = "initial" if start.user_given or start.law.hammers is None else "literature"
     text = (

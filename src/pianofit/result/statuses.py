@@ -111,6 +111,8 @@ def undetermined(fit: InferenceResult) -> frozenset[str]:
     strokes press is, by the joint posterior.
     """
     problem, everything = fit.problem, frozenset({FELT, CONTACT, VELOCITIES})
+    if not problem.parametrisation.law.has_contact:
+        return frozenset()
     if problem.calibrated:
         felt = frozenset({FELT} if fit.excess > FELT_EXCESS_DB else ())
         parts = everything if fit.excess > HAMMER_EXCESS_DB else felt
@@ -156,7 +158,8 @@ def velocity_statuses(fit: InferenceResult) -> list[Status]:
         # Without a measured velocity, the prior alone sets their scale: only their ratios can be too wide.
         if undecided or fit.gauge_fixed.sd(np.eye(u.size)[at]) > min(MAX_SD_OVER_PRIOR * u.sd[at], MAX_LOG_SD):
             return "not-identifiable"
-        return "scaled" if problem.velocity_scale_free else "fitted"
+        is_scaled = problem.velocity_scale_free or problem.initial_values.assumptions.get(u.law.stroke.name)
+        return "scaled" if is_scaled else "fitted"
 
     places = range(u.size)[u.velocities]
     return [status(at, measured) for at, measured in zip(places, problem.measured_velocity, strict=True)]

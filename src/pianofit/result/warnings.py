@@ -50,9 +50,9 @@ def fit_warnings(
     """
     problem = fit.problem
     at_bound = [name for name, state in states.items() if state == "at-bound"]
-    at_bound += ["v_H0"] * ("at-bound" in velocity_statuses(fit))
+    at_bound += [problem.parametrisation.law.stroke.name] * ("at-bound" in velocity_statuses(fit))
     lines = [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
-    lines += contradictory_velocities(fit)
+    lines += contradictory_velocities(fit) if problem.parametrisation.law.has_contact else []
     lines += literature_warnings(fit)
     lines += _mixture_warning(fit)
     lines += outlier_warnings(problem, errors)
@@ -80,7 +80,7 @@ def fit_warnings(
 def literature_warnings(fit: InferenceResult) -> list[str]:
     """Warnings about hammer parameters that deviate from the literature's values for the key, or from other keys."""
     u, theta, lines = fit.problem.parametrisation, fit.estimate.theta, []
-    for name in (*u.law.parameters, "M_H", "x0"):
+    for name in (*u.law.parameters, *(name for name in ("M_H", "x0") if name in u.names)):
         i = u.index_of(name)
         if not u.free[i] or u.given[i]:
             continue
@@ -164,10 +164,13 @@ def _mixture_warning(fit: InferenceResult) -> list[str]:
     to_search = np.linalg.inv(u.tangent(z[0]))
     sd = np.sqrt(np.diag(to_search @ fit.posterior.covariance[0] @ to_search.T))
     difference = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
-    largest = int(np.argmax(difference[: u.shared]))
+    stroke = u.law.stroke
+    # Velocities of a hammer follow from the other parameters.
+    largest = int(np.argmax(difference[: u.shared if stroke.scale_is_open else u.velocities.stop]))
     is_force = bool(u.force_and_exponent_index) and largest == u.force_and_exponent_index[0]
-    name = f"the {felt_force_name(u)}" if is_force else u.names[largest]
-    unit = "N" if is_force else unit_of(u.names[largest], u.law)
+    own = u.names[largest] if largest < u.shared else stroke.name
+    name = f"the {felt_force_name(u)}" if is_force else own
+    unit = "N" if is_force else stroke.unit if own == stroke.name else unit_of(own, u.law)
     shown, second = np.exp(z[[0, other], largest])
     note = {
         "laplace": "Intervals and predictions average over all minima.",

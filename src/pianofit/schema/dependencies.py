@@ -26,13 +26,15 @@ STANDS_ON: dict[str, tuple[str, ...]] = {
     "B": ("c", "kappa"),
     "M_H/M_S": ("M_H",),
     "x0/L": ("x0",),
+    "pickup/L": ("pickup",),
+    "width/L": ("width",),
     "F/M_S": (FELT,),
     "v/v_ref": ("v_H0",),
     # The comparison of the fitted hammer with the initial one.
     "hammer": ("F/M_S", "M_H"),
 }
 # Quantities that do not change with an assumed length or mass, or with the common scale of the velocities.
-INVARIANT = {"f0", "B", "M_H/M_S", "x0/L", "v/v_ref", "hammer"}
+INVARIANT = {"f0", "B", "M_H/M_S", "x0/L", "pickup/L", "width/L", "v/v_ref", "hammer"}
 # A quantity whose standard deviation of log(value) exceeds this, a factor of two, is not identifiable.
 MAX_LOG_SD = 0.7
 

@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from .. import __version__
 from ..errors import FitError
+from ..excitation import HAMMER, STROKES
 from ..felt import DEFAULT_LAW
 from ..io.audio import RATES
 from ..io.files import path_name, printable, replace_paths, short_repr
@@ -30,7 +31,7 @@ from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
 from .quantities import Covariance, Quantities, Status
 
-FIT_SCHEMA = 7
+FIT_SCHEMA = 8
 # Kinds of the files that hold a note.
 KINDS = ("fit", "note")
 # Largest fit.json, bytes.
@@ -44,7 +45,8 @@ HINT = "give the file that pianofit fit wrote"
 # Levels of an output path, dB: amplitudes beyond them are lost in rounding.
 PathLevel = Annotated[float, Meta(ge=-300.0, le=300.0)]
 Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
-PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure"]
+PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure", "magnetic-pickup"]
+ExcitationName = Literal["hammer", "pluck"]
 
 
 @dataclass(frozen=True)
@@ -174,10 +176,10 @@ class RecordingFit(NoteRecording):
     sha256: str
     channel: str
     onset_s: Number
-    v_H0: Number
-    v_H0_interval: tuple[Number, Number] | None
-    v_H0_status: Status
-    v_H0_initial: Number | None
+    stroke_value: Number  # of the stroke's parameter, `Fit.stroke_name`: v_H0, m/s, or x0, m
+    stroke_interval: tuple[Number, Number] | None
+    stroke_status: Status
+    stroke_initial: Number | None
     note: str | None  # of the analysis
     gain_status: Literal["given", "fitted"]
     is_reference: bool
@@ -196,7 +198,7 @@ class Minimum:
     weight: Number  # of the posterior
     negative_log_posterior: Number
     parameters: dict[str, Number]
-    velocities: np.ndarray  # m/s [strokes]
+    stroke_values: np.ndarray  # of the strokes' parameter: velocities, m/s, or plucking positions, m [strokes]
     path_db: np.ndarray | None  # at the frequencies of `Pickup.path`
     path_velocity_discrepancy: VelocityDiscrepancyEntry | None
     covariance: Covariance | None = None  # of the logarithms of the parameters and velocities
@@ -220,7 +222,8 @@ class NoteFile:
     parameters: Quantities
     recordings: tuple[NoteRecording, ...]
     pickup: Pickup
-    felt: str = DEFAULT_LAW.name  # name of the felt law
+    excitation: ExcitationName = HAMMER
+    felt: str = DEFAULT_LAW.name  # name of the felt law; "pluck" without a hammer
     modal_response: FittedModalResponse | None = None
 
     def __post_init__(self) -> None:
@@ -277,9 +280,15 @@ class Fit(NoteFile):
         return self.minima[0].covariance if self.minima else None
 
     @property
+    def stroke_name(self) -> str:
+        """Name of the parameter that differs from stroke to stroke."""
+        return STROKES[self.excitation].name
+
+    @property
     def velocity_scale_open(self) -> bool:
         """True if one common factor of the velocities is unknown: neither a velocity nor the gain was given."""
-        return not any("given" in (own.gain_status, own.v_H0_status) for own in self.recordings)
+        is_open = STROKES[self.excitation].scale_is_open
+        return is_open and not any("given" in (own.gain_status, own.stroke_status) for own in self.recordings)
 
     @property
     def has_intervals(self) -> bool:

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FitError, ParameterError
+from ..excitation import HAMMER, OTHERS, Excitation
 from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
 from ..io.files import printable, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
 from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
+from ..transducer import TRANSDUCERS
 from .fit import HINT, Fit, Minimum, NoteFile, PathEntry, RecordingFit, fit_path, read_note_file
 
 
@@ -63,12 +65,13 @@ def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | No
     """
     values, law = {n: quantity.value for n, quantity in record.parameters.items()}, law_of_fit(record, name, felt)
     where = f"{name}: parameters"
-    needed = (*STRING_NAMES, *(HAMMER_NAMES if law.hammers else ()), *law.hammer_parameters)
+    hammer = (*(HAMMER_NAMES if law.hammers else ()), *law.hammer_parameters) if law.has_contact else ()
+    needed = (*STRING_NAMES, *hammer)
     if missing := [n for n in (*needed, "L", "M_S", "x0", "width") if n not in values]:
         raise FitError(f"{where}.{missing[0]} is missing; {HINT}")
     own = {n: values[n] for n in (*needed, *(n for n in ALL_PARAMETERS if n in values))}
     string, hammer = _string_and_hammer(own, where, law)
-    on_string = record.pickup.quantity in ("velocity", "displacement")
+    on_string = TRANSDUCERS[record.pickup.quantity].on_string
     pickup = values.get("pickup", 0.0) if on_string else 0.5 * values["L"]
     geometry = Geometry(values["L"], values["M_S"], values["x0"], values["width"], pickup)
     try:
@@ -88,8 +91,14 @@ def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | No
     )
 
 
-def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> FeltLaw:
-    """Return the felt law that a file names; a law from outside the package must be given as `felt`."""
+def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> Excitation:
+    """Return the excitation that a file names; a felt law from outside the package must be given as `felt`."""
+    if record.excitation != HAMMER:
+        if felt is not None:
+            raise FitError(
+                f"{name}: its string is {OTHERS[record.excitation].words.verb}, without a felt; remove felt="
+            )
+        return OTHERS[record.excitation]
     if felt is not None and record.felt != felt.name:
         raise FitError(f"{name}: its felt law is {record.felt!r}, not {felt.name!r}; give the law of the fit")
     if felt is None and record.felt not in LAWS:
@@ -115,12 +124,14 @@ def notes_of_minima(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | No
     ]
 
 
-def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: FeltLaw) -> Note:
+def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: Excitation) -> Note:
     """Return `note` with string, hammer, strike position and output path of one minimum."""
-    values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | minimum.parameters
+    values = {"mu": 0.0, law.stroke.name: float(note.stroke_value)} | minimum.parameters
     try:
         string, hammer = _string_and_hammer(values, where, law)
         geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
+        if "pickup" in law.columns and "pickup" in values:
+            geometry = geometry._replace(pickup=values["pickup"])
         check_geometry(geometry, note.quantity)
     except KeyError as missing:
         raise FitError(f"{where} lacks {missing}; {HINT}") from None
@@ -136,7 +147,7 @@ def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: FeltLaw) -> 
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
 
-def _string_and_hammer(values: Mapping[str, float], where: str, law: FeltLaw) -> tuple[String, Any]:
+def _string_and_hammer(values: Mapping[str, float], where: str, law: Excitation) -> tuple[String, Any]:
     """Return string and hammer with `values`, checked against their ranges."""
     try:
         hammer = make_hammer(values, where, law)
@@ -169,16 +180,18 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
     stroke, reference, where = fit.recordings[index], fit.reference, f"{name}: recordings[{index}]"
     if index == fit.reference_index:
         return note
-    velocity = stroke.v_H0
+    velocity = stroke.stroke_value
     if which:
-        velocities = fit.minima[which].velocities
-        velocity = float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.hammer.v_H0)
+        velocities = fit.minima[which].stroke_values
+        velocity = (
+            float(velocities[stroke.stroke]) if 0 <= stroke.stroke < len(velocities) else float(note.stroke_value)
+        )
     c = float(note.string.c) * 2 ** min(stroke.pitch_offset_cents / 1200, 100.0)  # no larger, or it would overflow
     try:
-        check({"v_H0": velocity, "c": c}, where)
+        check({"c": c} | ({"v_H0": velocity} if fit.stroke_name == "v_H0" else {}), where)
     except ParameterError as error:
         raise FitError(str(error)) from None
-    own = note.with_velocity(velocity)._replace(string=note.string._replace(c=c), gain=stroke.gain)
+    own = note.with_stroke(velocity)._replace(string=note.string._replace(c=c), gain=stroke.gain)
     if stroke.path_group == reference.path_group:
         return own
     path = fit.pickup.paths.get(str(stroke.path_group))
@@ -193,11 +206,13 @@ def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
     FitError
         If the fit has no initial values.
     """
-    initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {"v_H0": stroke.v_H0_initial}
+    initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {
+        fit.stroke_name: stroke.stroke_initial
+    }
     values = {name: value for name, value in initial.items() if value is not None}
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
-        hammer = type(note.hammer)(**{name: values[name] for name in note.hammer._fields})
+        hammer = note.hammer._replace(**{name: values[name] for name in note.hammer._fields if name != "force"})
         geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
     except KeyError as missing:
         raise FitError(f"this fit.json has no initial {missing.args[0]}; fit the recordings again") from None

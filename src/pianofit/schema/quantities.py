@@ -12,7 +12,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95
-from ..felt import ALL_PARAMETERS, FeltLaw
+from ..excitation import Excitation
+from ..felt import ALL_PARAMETERS
 from ..io.number_format import format_with_interval
 from ..io.table_output import data_frame, html_table, write_csv
 from ..io.uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
@@ -37,6 +38,8 @@ MEANINGS = (
         "B": "inharmonicity",
         "M_H/M_S": "hammer mass over string mass",
         "x0/L": "strike position over string length",
+        "pickup/L": "position of the pickup over string length",
+        "width/L": "width of the contact window over string length",
         "F/M_S": "static felt force at the reference compression, over the string mass",
         "felt_force": "static felt force at the reference compression",
         "local_exponent": "exponent of the static felt force at the reference compression",
@@ -221,12 +224,12 @@ def _missing(name: object, available: Sequence[str]) -> str:
     return f"{name!r} does not exist; " + (f"did you mean {near[0]}?" if near else f"use one of {', '.join(available)}")
 
 
-def unit_of(name: str, law: FeltLaw) -> str:
+def unit_of(name: str, law: Excitation) -> str:
     """Return the unit of a parameter of a fit with `law`."""
     return law.parameters[name].unit if name in law.parameters else UNITS[name]
 
 
-def meaning_of(name: str, law: FeltLaw | None = None) -> str:
+def meaning_of(name: str, law: Excitation | None = None) -> str:
     """Return the meaning of a quantity; empty for a parameter of a felt law that is unknown here."""
     if law is not None and name in law.parameters:
         return law.parameters[name].meaning

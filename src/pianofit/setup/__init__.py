@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from .contradictions import STRING_PICKUPS
 from .measured import Measured, relative_sd
-from .values import KEYS, PICKUPS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
+from .values import KEYS, RANGES, SETUP_KEYS, RecordingInfo, Setup, recording_info_for, to_setup
 
 __all__ = [
     "KEYS",
     "Measured",
-    "PICKUPS",
     "RANGES",
     "SETUP_KEYS",
-    "STRING_PICKUPS",
     "RecordingInfo",
     "Setup",
     "recording_info_for",

@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING
 
 from ..felt import LAWS
 from ..io.files import printable
+from ..transducer import ON_STRING, TRANSDUCERS
 
 if TYPE_CHECKING:
     from .values import Setup
 
-STRING_PICKUPS = ("velocity", "displacement")  # these need a position
-# Parameters of any felt law.
-FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
+# Parameters of any hammer.
+HAMMER_NAMES = {name for law in LAWS.values() for name in law.hammer_parameters}
 
 
 def contradictions(setup: Setup) -> Iterator[str]:
     """Yield a message for each contradiction."""
     for check in (
+        _excitation_contradictions,
         _strike_contradictions,
         _pickup_contradictions,
         _value_contradictions,
@@ -26,6 +27,26 @@ def contradictions(setup: Setup) -> Iterator[str]:
         _stroke_contradictions,
     ):
         yield from check(setup)
+
+
+def _excitation_contradictions(setup: Setup) -> Iterator[str]:
+    """Values that another excitation does not have."""
+    law = setup.law
+    if law.has_contact:
+        return
+    if setup.felt is not None:
+        name = setup.felt if isinstance(setup.felt, str) else setup.felt.name
+        yield f'[felt] law = "{name}" belongs to a hammer, and a {law.kind} has no felt; remove one of them'
+    if setup.pickup_scale is not None:
+        yield (
+            f"[pickup] scale = {setup.pickup_scale:g} has no effect, because the size of a {law.kind} is unknown; "
+            "remove it"
+        )
+    if setup.prior is not None:
+        yield f"[prior] is that of hammers, and does not apply to a {law.kind}; remove it"
+    for number, recording in enumerate(setup.recordings, 1):
+        if recording.v_H0 is not None:
+            yield f"[[recording]] {number} v_H0 = {recording.v_H0:g}: a {law.kind} has no hammer velocity; remove it"
 
 
 def _strike_contradictions(setup: Setup) -> Iterator[str]:
@@ -47,16 +68,18 @@ def _strike_contradictions(setup: Setup) -> Iterator[str]:
 def _pickup_contradictions(setup: Setup) -> Iterator[str]:
     """A position or a scale that does not fit the quantity."""
     quantity, position, scale = setup.pickup_quantity, setup.pickup_position, setup.pickup_scale
-    if quantity in STRING_PICKUPS and position is None:
+    transducer = TRANSDUCERS[quantity]
+    is_searched = transducer.position_is_searched and "pickup" in setup.law.columns
+    if transducer.on_string and position is None and not is_searched:
         yield f'[pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it'
-    if quantity not in STRING_PICKUPS and position is not None:
+    if not transducer.on_string and position is not None:
         yield (
-            f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use velocity or '
-            "displacement, or remove the position"
+            f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; use '
+            f"{', '.join(ON_STRING)}, or remove the position"
         )
-    if quantity == "pressure" and scale is not None:
+    if transducer.unknown_path and scale is not None:
         yield (
-            f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", because the output path is '
+            f'[pickup] scale = {scale:g} has no meaning with quantity = "{quantity}", because the output path is '
             "unknown; use velocity, displacement or bridge-force, or remove the scale"
         )
     if position is not None and setup.length is not None and position >= setup.length:
@@ -74,9 +97,10 @@ def _value_contradictions(setup: Setup) -> Iterator[str]:
             if name in given:
                 yield f"{name} is in [fixed] and in [{table}]; remove one of them"
     for name in (*setup.fixed, *setup.initial, *setup.bounds):
-        if name in FELT_NAMES and name not in law.parameters:
+        if name in HAMMER_NAMES and name not in law.hammer_parameters:
             allowed = ", ".join(law.parameters)
-            yield f"{name} is not a parameter of the felt law {law.name}, which has {allowed}; remove it"
+            has = f"the felt law {law.name}, which has {allowed}" if law.has_contact else f"a {law.kind}"
+            yield f"{name} is not a parameter of {has}; remove it"
     for name, (lower, upper) in setup.bounds.items():
         if not lower <= (value := setup.initial.get(name, lower)) <= upper:
             yield f"[initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"

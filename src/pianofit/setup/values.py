@@ -17,15 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ParameterError, SetupError, check_type
+from ..excitation import HAMMER, NAMES, OTHERS, Excitation
 from ..felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
 from ..io.files import path_name, printable, read_text
 from ..io.number_format import filled
 from ..key_prior import KeyPrior
 from ..parameters import Parameter
+from ..transducer import QUANTITIES
 from .contradictions import contradictions
 from .measured import MOST_RELATIVE_SD, Measured, relative_sd
 
-PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 MAX_BYTES = 2**20
 
 # Lower, upper, unit. A piano's strings are 0.05 to 2.3 m long and weigh 0.1 to 300 g.
@@ -46,6 +47,7 @@ SETUP_KEYS = {
     "pickup_position": ("pickup", "position"),
     "pickup_scale": ("pickup", "scale"),
     "felt": ("felt", "law"),
+    "excitation": ("excitation", "kind"),
 }
 # Attributes that can have a standard deviation, with their names among the parameters of a fit.
 SIZES = {
@@ -98,7 +100,7 @@ class Setup:
     mass: float | None = None  # kg
     strike_position: float | None = None  # m, from the agraffe
     strike_width: float | None = None  # m, full width of the contact window
-    pickup_quantity: str = "pressure"  # one of PICKUPS
+    pickup_quantity: str = "pressure"  # one of `transducer.QUANTITIES`
     pickup_position: float | None = None  # m, from the agraffe
     pickup_scale: float | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
     fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed or within its uncertainty
@@ -106,6 +108,7 @@ class Setup:
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[RecordingInfo, ...] = ()
     felt: str | FeltLaw | None = None  # a name in `felt.LAWS`, or your own law
+    excitation: str = HAMMER  # "hammer" or "pluck"
     prior: KeyPrior | None = None  # of the other keys of the keyboard, in place of the literature's
 
     def __repr__(self) -> str:
@@ -116,7 +119,8 @@ class Setup:
         for name, (table, key) in SETUP_KEYS.items():
             if key in RANGES and getattr(self, name) is not None:
                 checked[name] = _given(getattr(self, name), key, *RANGES[key], f"[{table}]")
-        _check_choice(self.pickup_quantity, PICKUPS, "[pickup] quantity")
+        _check_choice(self.pickup_quantity, QUANTITIES, "[pickup] quantity")
+        _check_choice(self.excitation, NAMES, "[excitation] kind")
         _check_law(self.felt)
         if self.prior is not None:
             checked["prior"] = _key_prior(self.prior)
@@ -133,8 +137,10 @@ class Setup:
             raise SetupError(contradiction)
 
     @property
-    def law(self) -> FeltLaw:
-        """The felt law."""
+    def law(self) -> Excitation:
+        """The excitation: the felt law of the hammer, or the pluck."""
+        if self.excitation != HAMMER:
+            return OTHERS[self.excitation]
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
 
     @property
