@@ -133,6 +133,20 @@ def test_page_opens_at_a_laptops_width_and_shows_its_pictures(page):
     assert paper.max() < 64 < 192 < ink.min()
 
 
+def test_the_physics_is_hidden_on_request(page):
+    """By key. The summary, the player and the provenance remain."""
+    box, physics = page.get_by_label("Hide the physics"), page.locator("#parameters, #evidence, #identifiability")
+    visible = [physics.nth(i).is_visible() for i in range(physics.count())]
+    assert visible
+    assert all(visible)
+    box.focus()
+    page.keyboard.press("Space")
+    assert not any(physics.nth(i).is_visible() for i in range(physics.count()))
+    assert page.locator("#in-short").is_visible()
+    assert page.locator("#note").is_visible()
+    assert page.locator("#provenance").is_visible()
+
+
 def test_policy_keeps_the_page_from_the_network(browser, report):
     page, asked = browser.new_page(), []
     page.goto(report[0].as_uri())

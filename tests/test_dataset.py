@@ -23,6 +23,7 @@ from pianofit.conversions import midi_of
 from pianofit.dataset.draw import PATH_FREQUENCIES, NotePrior, draw_path
 from pianofit.dataset.labelled_note import BLOCK
 from pianofit.dataset.source import load_source
+from pianofit.excitation import hammer
 from pianofit.inference import priors
 from pianofit.instrument import write_instrument
 from pianofit.io.files import PEAK_LIMIT
@@ -147,7 +148,7 @@ def test_the_parameters_have_the_priors_of_a_fit():
     z, cut = {}, 0.951  # standard deviation of a normal variable between its 1 % and 99 % points
     first = [one.layers[0] for one in drawn]
     z["M_H"] = [np.log(n.hammer.M_H / typical(float(m)).hammer.M_H) / 0.4 for n, m in zip(first, keys, strict=True)]
-    z["v_H0"] = [np.log(n.hammer.v_H0 / priors.VELOCITY) / priors.VELOCITY_SD for n in first]
+    z["v_H0"] = [np.log(n.hammer.v_H0 / hammer.VELOCITY) / hammer.VELOCITY_SD for n in first]
     z["x0"] = [np.log(n.geometry.strike_position / n.geometry.length / 0.12) / 0.2 for n in first]
     z["p"] = [np.log(n.hammer.p / typical(float(m)).hammer.p) / 0.2 for n, m in zip(first, keys, strict=True)]
     for name, values in z.items():

@@ -43,6 +43,7 @@ from pianofit.model.modal_response import PartialDecay
 from pianofit.report.drawing import make_figure, page_style, span
 from pianofit.report.figures import _arrow_positions, draw_partials, draw_spectra
 from pianofit.report.html import asset
+from pianofit.report.in_short import in_short
 from pianofit.report.modal_response import (
     Envelope,
     _draw_map,
@@ -156,8 +157,8 @@ def test_claims_come_first_and_plainly(tmp_path):
     page = Page(written(tmp_path, example_fit()))
     body = page.text[page.text.index("A string and a hammer") :]
     order = [body.index(part) for part in (
-        "Read this first", "One uncalibrated recording", "▶ Play", "2.6 dB", "do not support the fitted hammer",
-        "The string's length was not given", "The player above")]  # fmt: skip
+        "Read this first", "One uncalibrated recording", "▶ Play", "2.6 dB", "The string's length was not given",
+        "do not support the fitted hammer", "The player above")]  # fmt: skip
     assert order == sorted(order)
     assert "Not converged" not in body
     better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "reference_hammer_db": 4.0, "partials": 40})
@@ -639,3 +640,17 @@ def test_no_colour_of_the_style_is_its_own_definition():
     """A CSS variable that refers to itself is invalid, and elements with that colour are invisible."""
     for name, value in re.findall(r"(--[\w-]+): ([^;]+);", asset("page.css", "pianofit.report")):
         assert name not in value
+
+
+def test_in_short_states_what_was_measured():
+    """Cents and differences of loudness are computed again from pitch and sounds."""
+    result = example_result()
+    sounds = {"original": result.recording.samples, "fitted": 0.5 * result.recording.samples}
+    onset = result.fit.reference.onset_s
+    words = dict(in_short(result, make_clips(sounds, result.recording.rate, onset)))
+    cents = 1200 * np.log2(result.fit.derived.f0 / 440.0)
+    assert f"{round((cents + 50) % 100 - 50):+d} cents".replace("-", "−") in words["Tuning"]
+    assert "6 dB softer" in words["Loudness"]
+    assert number(result.fit.levels.fitted_db, 2) in words["Match"]
+    quieter = dict(in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset)))
+    assert "as loud as" in quieter["Loudness"]

@@ -26,6 +26,7 @@ from .figures import draw_attacks, draw_contact, draw_partials, draw_reference_l
 from .figures_recordings import draw_left_out, draw_paths, draw_recordings
 from .html import page_bytes, picture
 from .identifiability import draw_identifiability, felt_scale, identifiability_sections
+from .in_short import in_short
 from .modal_response import decay_rows, draw_envelopes, draw_spectrograms, modal_response_text
 from .release import draw_release
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
@@ -65,7 +66,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
     fit, hammer = result.fit, result.note.hammer
     # Built-in felt laws are found by name, because some share a type of hammer.
     law = LAWS.get(fit.felt) or law_of(hammer)
-    figures = draw_figures(result, held_out)
+    figures, clips = draw_figures(result, held_out), _clips(result)
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
@@ -82,7 +83,8 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         words=law.words,
         stroke=law.stroke,
         has_contact=law.has_contact,
-        clips=_clips(result),
+        clips=clips,
+        short=in_short(result, clips),
         modal_response=fit.modal_response and modal_response_text(fit.modal_response),
         decays=decay_rows(result),
         strokes=_slider(result),

@@ -105,7 +105,7 @@
   };
   for (const place of [0, 1, 2]) keys[place + 1] = (player) => player.choices[place] && player.choose(place);
   document.addEventListener("keydown", (event) => {
-    const at = event.target, elsewhere = at.closest("summary, a, pre, .scroll, .zoom");
+    const at = event.target, elsewhere = at.closest("summary, a, pre, .scroll, .zoom, .view");
     if (event.ctrlKey || event.altKey || event.metaKey || !keys[event.key] || (elsewhere && !/^[123]$/.test(event.key))) return;
     if (at.matches(".which") && event.key !== " ") return; // arrow keys on the slider choose the velocity
     if (event.key === " " && at.matches(".choice[aria-pressed=false]")) return; // the space bar presses the focused button

@@ -1,0 +1,83 @@
+"""A fit in short, for readers who want its sound and not its physics: match, tuning, loudness, ring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..analysis.note_names import midi_to_note
+from ..conversions import midi_of
+from ..felt import law_of
+from ..io.number_format import number
+from ..model.modal_response import PartialDecay, decays_and_beats
+from ..result import Result
+from .sound import Clip
+from .text import glide
+
+# Number of lowest partials whose ring is stated.
+PARTIALS = 3
+# Largest difference of loudness, dB, that is called equal: less is hardly audible.
+EQUAL_DB = 0.5
+
+
+def in_short(result: Result, clips: Sequence[Clip]) -> list[tuple[str, str]]:
+    """List (what, sentence) of a fit.
+
+    Parameters
+    ----------
+    clips : the recorded sound and the fitted one, as the player has them.
+    """
+    response = result.note.modal_response
+    decays = [] if response is None else decays_and_beats(response)
+    return [
+        ("Match", _match(result)),
+        ("Tuning", _tuning(result)),
+        ("Loudness", _loudness(result, clips)),
+        *([("Ring", _ring(decays))] if decays else []),
+    ]
+
+
+def _match(result: Result) -> str:
+    fit = result.fit
+    levels = f"The levels of the partials are {number(fit.levels.fitted_db, 2)} dB (rms) from the recorded ones."
+    error = None if fit.modal_response is None else fit.modal_response.prediction_error_db
+    if error is None:
+        return levels
+    return f"{levels} A recording that takes no part in the fit is predicted within {number(error, 2)} dB a partial."
+
+
+def _tuning(result: Result) -> str:
+    derived = result.fit.derived
+    midi = midi_of(derived.f0)
+    key, bend = round(midi), glide(result.fit)
+    cents = f"{100 * (midi - key):+.0f}".replace("-", "−")
+    rises = f" It {bend} while the note decays." if bend else ""
+    return f"{number(derived.f0, 5)} Hz, {cents} cents from {midi_to_note(key)} at A4 = 440 Hz.{rises}"
+
+
+def _loudness(result: Result, clips: Sequence[Clip]) -> str:
+    recorded, fitted = clips[0], next(clip for clip in clips if clip.name == "fitted")
+    difference = recorded.gain_db - fitted.gain_db  # gains make both equally loud
+    louder = f"{number(abs(difference), 2)} dB {'louder' if difference > 0 else 'softer'} than"
+    own = f"The fitted note is {'as loud as' if abs(difference) < EQUAL_DB else louder} its recording."
+    values = [row.stroke_value for row in result.fit.recordings]
+    if not law_of(result.note.hammer).has_contact or len(values) < 2:
+        return own
+    return f"{own} Recorded strokes are from {number(min(values), 2)} to {number(max(values), 2)} m/s."
+
+
+def _ring(decays: Sequence[PartialDecay]) -> str:
+    """Describe how the lowest partials decay by 60 dB, right after the stroke and later."""
+    found = []
+    for decay in decays[:PARTIALS]:
+        times = [f"{number(t, 2)} s {when}" for t, when in ((decay.early, "at first"), (decay.late, "later")) if _is(t)]
+        beats = f", beats of {number(decay.beat_frequency, 2)} Hz" if _is(decay.beat_frequency) else ""
+        if times:
+            found.append(f"partial {decay.number}: {' and '.join(times)}{beats}")
+    if not found:
+        return "It is too uncertain."
+    return f"Time to fall by 60 dB: {'; '.join(found)}."
+
+
+def _is(value: float) -> bool:
+    return math.isfinite(value)
