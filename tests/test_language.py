@@ -62,7 +62,7 @@ def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
 
 def prose() -> Iterator[tuple[str, int, str]]:
     """All prose of the project: where it is, its line, its text."""
-    sources = [ROOT / "src" / "pianofit", ROOT / "studies"]
+    sources = [ROOT / "src" / "pianofit", ROOT / "studies", ROOT / "website"]
     code = [path for source in sources for path in source.rglob("*.py")]
     for path in sorted([*code, *(ROOT / "examples").glob("*.py")]):
         for line, text in prose_of_python(path.read_text(encoding="utf-8")):
