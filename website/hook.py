@@ -13,6 +13,7 @@ from typing import Any
 
 from check_site import faults
 from formulas import with_mathml
+from gallery import gallery_files
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from pages import reference_pages, repository_links, sections
@@ -24,6 +25,9 @@ PAGES_TO_COME = ("plucks.md", "datasets.md")
 
 # A link to a section of the README, which is a page here.
 README_SECTION = re.compile(r"\]\((?:\.\./)+README\.md#([^)]+)\)")
+
+# A link to a script of the gallery, which is a page here.
+GALLERY_SCRIPT = re.compile(r"(\]\((?:\.\./)*gallery/\w+)\.py\)")
 
 
 def on_config(config: Any) -> Any:
@@ -52,6 +56,8 @@ def on_files(files: Files, config: Any) -> Files:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     pages = {f"readme/{name}.md": text for name, text in sections(readme).items()}
     pages |= {uri: text for uri, (_, text) in reference_pages(ROOT).items()}
+    for uri, data in gallery_files(ROOT).items():
+        files.append(File.generated(config, uri, content=data))
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
     for uri, data in sound_files().items():
@@ -67,6 +73,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     """Point links to files outside docs/ at their copies, and set formulas."""
     for written, _, there in repository_links(markdown, page.file.src_uri, ROOT):
         markdown = markdown.replace(f"]({written})", f"]({there})")
+    markdown = GALLERY_SCRIPT.sub(r"\1.md)", markdown)
     sections_at = posixpath.relpath("readme", posixpath.dirname(page.file.src_uri) or ".")
     return with_mathml(README_SECTION.sub(rf"]({sections_at}/\1.md)", markdown))
 
