@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 from pathlib import Path
 
@@ -49,7 +50,9 @@ def _run(script: Path) -> nbformat.NotebookNode:
         client = NotebookClient(
             notebook, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": folder}}
         )
-        return client.execute()
+        # A font cache of another environment would name fonts that are not there, and matplotlib would say so.
+        fonts = script.parents[2] / "build" / "gallery" / "matplotlib"
+        return client.execute(env={**os.environ, "MPLCONFIGDIR": str(fonts)})
 
 
 def _page(name: str, notebook: nbformat.NotebookNode) -> dict[str, str | bytes]:

@@ -12,7 +12,8 @@
 # %% [markdown]
 # # An instrument from five keys
 #
-# Five keys are measured and fitted. All other keys follow from smooth laws over the keyboard.
+# Five keys of the upper half are measured and fitted. All other keys follow from smooth laws over the keyboard. The
+# laws interpolate between the recorded keys and extrapolate below them.
 
 # %%
 from pathlib import Path
@@ -24,7 +25,7 @@ from matplotlib import pyplot as plt
 import pianofit as pf
 
 RATE = 44_100  # Hz
-RECORDED = ("C2", "A2", "F3", "C4", "A4")
+RECORDED = ("C4", "F#4", "C5", "F#5", "C6")
 for number, name in enumerate(RECORDED):
     it = pf.typical(name)
     made = pf.synthetic_recording(
@@ -66,7 +67,7 @@ plt.show()
 # A chord of keys that were never recorded, with the pedal:
 
 # %%
-CHORD = (50, 57, 62, 66, 69)
+CHORD = (62, 65, 69, 74, 77)
 song = pf.Song(
     {key: [(0.15 * i, 70), (2.5, 0)] for i, key in enumerate(CHORD)}, [(0.0, 127), (2.5, 0)], 2.5, len(CHORD)
 )
