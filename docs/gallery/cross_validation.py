@@ -48,8 +48,8 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# Interpolation is easier than extrapolation: the stroke in the middle has a neighbour on both sides. The fit of all
-# strokes:
+# The same model made these recordings, so the predictions are nearly perfect. On 18 layers of real pianos, the median
+# error is 1.1 dB and the largest 2.5 dB, see [predictions](../prediction.md). The fit of all strokes:
 
 # %%
 figure, axes = plt.subplots(figsize=(8, 4))

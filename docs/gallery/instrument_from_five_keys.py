@@ -64,6 +64,9 @@ axes[0].legend()
 plt.show()
 
 # %% [markdown]
+# The true piano is that of the literature, which is also the prior of the laws. Keys that were not recorded are
+# therefore right here. For real pianos see [the accuracy of instruments](../instrument.md#accuracy).
+#
 # A chord of keys that were never recorded, with the pedal:
 
 # %%
