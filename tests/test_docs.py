@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import importlib
 import json
@@ -211,3 +212,32 @@ def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     parts += [ringing, response, response["modes"], response["knock"], ringing["leave_one_out_db"]]
     parts += [ringing["layers"][0], response["modal_amplitudes"][0], {"modal_response": ringing}]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []
+
+
+# --- docs/faq.md -----------------------------------------------------------------------------------------------------
+
+ENTRIES = re.compile(r"^\*\*(.+?)\*\*", re.MULTILINE | re.DOTALL)
+
+
+def messages() -> str:
+    """Return all string literals of the package, with NUL in place of what is filled in."""
+    texts = []
+    for file in (ROOT / "src" / "pianofit").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                texts.append(
+                    "".join(
+                        getattr(part, "value", "\0") if isinstance(part, ast.Constant) else "\0" for part in node.values
+                    )
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(node.value)
+    return "\0".join(texts)
+
+
+def test_every_message_that_the_faq_explains_is_in_the_program():
+    entries = " ".join(ENTRIES.findall((ROOT / "docs" / "faq.md").read_text(encoding="utf-8")))
+    quoted = [part.strip() for message in re.findall(r'"([^"]+)"', entries) for part in message.split("...")]
+    assert len(quoted) > 40
+    program = messages()
+    assert [part for part in quoted if part and " ".join(part.split()) not in program] == []

@@ -38,4 +38,4 @@ def test_every_extra_of_a_message_exists():
     extras = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     code = "".join(file.read_text(encoding="utf-8") for file in (root / "src").rglob("*.py"))
     named = set(re.findall(r'optional\(.*"(\w+)", ParameterError\)', code))
-    assert {*named, "notebook"} == set(extras) - {"bench", "dev", "test"}
+    assert {*named, "notebook"} == set(extras) - {"bench", "dev", "docs", "release", "test"}

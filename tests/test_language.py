@@ -62,9 +62,9 @@ def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
 
 def prose() -> Iterator[tuple[str, int, str]]:
     """All prose of the project: where it is, its line, its text."""
-    sources = [ROOT / "src" / "pianofit", ROOT / "studies"]
+    sources = [ROOT / "src" / "pianofit", ROOT / "studies", ROOT / "website"]
     code = [path for source in sources for path in source.rglob("*.py")]
-    for path in sorted([*code, *(ROOT / "examples").glob("*.py")]):
+    for path in sorted([*code, *(ROOT / "examples").glob("*.py"), *(ROOT / "docs" / "gallery").glob("*.py")]):
         for line, text in prose_of_python(path.read_text(encoding="utf-8")):
             yield str(path.relative_to(ROOT)), line, text
     documents = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]

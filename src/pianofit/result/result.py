@@ -41,7 +41,7 @@ class Result:
 
     `fit` has all that the fit reports, as in `fit.json`. `recordings` are in the order in which they were given. A
     loaded result has none until `with_recordings` reads them; plots, `save` and `report` do this when needed.
-    `minima_notes` has a note for each [minima][recordings]. `draws` are posterior draws [chains, draws] by name, if the
+    `minima_notes` has a note for each [minima, recordings]. `draws` are posterior draws [chains, draws] by name, if the
     fit computed them. `folder` is the folder that the result was loaded from.
     """
 
