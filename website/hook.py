@@ -20,8 +20,6 @@ from pages import reference_pages, repository_links, sections
 from sounds import sound_files
 
 ROOT = Path(__file__).parent.parent
-# Pages that other work in progress adds. The navigation already has their place.
-PAGES_TO_COME = ("plucks.md", "datasets.md")
 
 # A link to a section of the README, which is a page here.
 README_SECTION = re.compile(r"\]\((?:\.\./)+README\.md#([^)]+)\)")
@@ -31,22 +29,21 @@ GALLERY_SCRIPT = re.compile(r"(\]\((?:\.\./)*gallery/\w+)\.py\)")
 
 
 def on_config(config: Any) -> Any:
-    """Complete the navigation: the pages of the reference, without pages that do not exist yet."""
-    missing = {page for page in PAGES_TO_COME if not (ROOT / "docs" / page).exists()}
+    """Complete the navigation by the pages of the reference."""
     reference = [{title: uri} for uri, (title, _) in reference_pages(ROOT).items()]
-    config.nav = _completed(config.nav, missing, reference)
+    config.nav = _completed(config.nav, reference)
     return config
 
 
-def _completed(entries: list[Any], missing: set[str], reference: list[Any]) -> list[Any]:
+def _completed(entries: list[Any], reference: list[Any]) -> list[Any]:
     done = []
     for entry in entries:
         ((title, target),) = entry.items()
         if target == "reference/":
             done.append({title: reference})
         elif isinstance(target, list):
-            done.append({title: _completed(target, missing, reference)})
-        elif target not in missing:
+            done.append({title: _completed(target, reference)})
+        else:
             done.append(entry)
     return done
 
