@@ -39,10 +39,7 @@ def level(sound: np.ndarray, rate: int) -> np.ndarray:
 
 def judge(file: Path, cut: Path, folder: Path) -> tuple[str, float, float]:
     """A line of the table, the difference, dB, and the time from the begin of a fade to its joint, s."""
-    modal_response = load_note(folder)[0].modal_response
-    if modal_response is None:
-        return f"{file.stem:24} no modes", np.nan, np.nan
-    modes, onset = modes_of_key(modal_response), load_recording(cut).onset
+    modes, onset = modes_of_key(load_note(folder)[0]), load_recording(cut).onset
     (short, rate), (whole, _) = (soundfile.read(x, always_2d=True) for x in (cut, file))
     found = continue_by_modes(short.T, rate, onset, modes)
     faded = whole.T.copy()

@@ -88,7 +88,10 @@ def main() -> None:
     sound, given = (notes[0].samples, notes[0].rate), {"setup": setup, "velocity": true["v_H0"], "note": true["key"]}
     result = pianofit.fit(sound, **given, start=start, budget=20, progress=False)
     fitted = result.parameters.M_H
-    print(f"M_H: guess {start['M_H']:.3g}, fitted {fitted.value:.3g} {fitted.interval}, true {true['M_H']:.3g} kg")
+    low, high = fitted.interval
+    print(
+        f"M_H: guess {start['M_H']:.3g}, fitted {fitted.value:.3g} ({low:.3g}, {high:.3g}), true {true['M_H']:.3g} kg"
+    )
 
 
 if __name__ == "__main__":

@@ -13,9 +13,9 @@ import soundfile
 from instrument_cases import ERRORS, RATE, fit_document, rung, write_fit
 
 from pianofit.cli.program import main
-from pianofit.errors import FitError, ParameterError, RecordingError, SetupError
+from pianofit.errors import FitError, ParameterError, SetupError
 from pianofit.mend import MendOptions, mend_library
-from pianofit.mend.tail import CROSSFADE, Continuation, KeyModes, continue_by_modes, lengthen
+from pianofit.mend.tail import CROSSFADE, Continuation, PartialModes, continue_by_modes, lengthen
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry
 
@@ -25,16 +25,16 @@ KEYS = (48, 50)
 VELOCITIES = {"soft": 0.7, "loud": 4.0}
 
 
-def beating(decay: float = 1.0) -> list[KeyModes]:
+def beating(decay: float = 1.0) -> list[PartialModes]:
     """Partials of two modes, which beat by 0.4 Hz and have a double decay."""
     hz = 220.0 * np.arange(1, 9)
     poles = [
         decay * np.array([-3.0, -0.5]) - 0.1 * k + 2j * np.pi * (f + np.array([0.0, 0.4])) for k, f in enumerate(hz)
     ]
-    return [KeyModes(pole, float(f), 220.0) for pole, f in zip(poles, hz, strict=True)]
+    return [PartialModes(pole, float(f), 220.0) for pole, f in zip(poles, hz, strict=True)]
 
 
-def sound_of(modes: list[KeyModes], seconds: float, noise: float = 1e-5) -> np.ndarray:
+def sound_of(modes: list[PartialModes], seconds: float, noise: float = 1e-5) -> np.ndarray:
     """A stereo recording of these modes, with a silent begin and noise."""
     random, pole = np.random.default_rng(0), np.concatenate([m.pole for m in modes])
     amplitude = np.exp(2j * np.pi * random.uniform(size=(2, len(pole)))) * random.uniform(0.01, 0.05, (2, len(pole)))
@@ -43,7 +43,7 @@ def sound_of(modes: list[KeyModes], seconds: float, noise: float = 1e-5) -> np.n
     return sound + noise * random.normal(size=sound.shape)
 
 
-def found(sound: np.ndarray, modes: list[KeyModes]) -> Continuation:
+def found(sound: np.ndarray, modes: list[PartialModes]) -> Continuation:
     continuation = continue_by_modes(sound, RATE, ONSET, modes)
     assert isinstance(continuation, Continuation), continuation
     return continuation
@@ -81,7 +81,7 @@ def test_decays_that_differ_from_those_of_the_key_are_measured():
 
 
 @pytest.mark.parametrize("fade", [0.3, 1.0])
-def test_the_joint_lies_before_a_fade_out(fade):
+def test_a_fade_takes_little_part_in_the_tail(fade):
     modes = beating()
     whole = sound_of(modes, 6.0)
     faded = sound_of(modes, 4.0)
@@ -217,13 +217,15 @@ def test_fits_of_other_recordings_are_refused(made, tmp_path):
         mend_library(tmp_path, fits, None, MendOptions())
 
 
-def test_a_damaged_file_is_named(made, tmp_path):
+def test_a_damaged_file_is_copied_and_named(made, tmp_path):
     library, fits = made
     copy = tmp_path / "copy"
     copy.mkdir()
     for file in library.iterdir():
         (copy / file.name).write_bytes(file.read_bytes())
     (copy / "grand-50-loud.wav").write_bytes(b"RIFF no sound")
-    with pytest.raises(RecordingError, match="grand-50-loud"):
-        mend_library(copy, fits, tmp_path / "out", MendOptions())
-    assert not (tmp_path / "out").exists()
+    changes, _ = mend_library(copy, fits, tmp_path / "out", MendOptions(tails=3.0, fill=False))
+    (damaged,) = (change for change in changes if change.file == "grand-50-loud.wav")
+    assert damaged.change == "unchanged"
+    assert "grand-50-loud.wav" in damaged.detail
+    assert (tmp_path / "out" / "grand-50-loud.wav").read_bytes() == b"RIFF no sound"

@@ -28,12 +28,14 @@ def dataset(
     keys: Annotated[str | None, text("LOW..HIGH", "Keys, such as C2..C6. Default: all.")] = None,
     seconds: Seconds = 1.0,
     rate: Annotated[int, RATE] = 44_100,
-    layers: Annotated[int, integer("N", "Strokes of every note, from soft to loud.")] = 1,
+    layers: Annotated[int, integer("N", "Velocities at which every note is rendered.")] = 1,
     around: Annotated[
         Path | None, text("FILE", "Draw around a fit.json or an instrument.json instead of the literature.")
     ] = None,
-    spread: Annotated[float, real("X", "Factor of the priors' standard deviations; 0.1 is close to the centre.")] = 1.0,
-    path: Annotated[bool, typer.Option("--path", help="Filter every note by an output path.")] = False,
+    spread: Annotated[float, real("X", "Factor of the priors' standard deviations, except of the velocity.")] = 1.0,
+    path: Annotated[
+        bool, typer.Option("--path", help="Filter every note by a random output path: soundboard, room and microphone.")
+    ] = False,
     noise: Annotated[
         str | None, text("DB", "White noise, dB below the rms of the loudest layer, such as 60 or 40..70.")
     ] = None,

@@ -52,18 +52,26 @@ def cut(
 
 def mend(
     library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Manifest or folder, as for pianofit batch.")],
-    fits: Annotated[Path, text("DIR", "Folder of its fits, which pianofit batch LIBRARY --out DIR wrote.")],
-    out: Annotated[Path | None, text("DIR", "Folder for the mended recordings and changes.csv.")] = None,
+    fits: Annotated[Path, text("DIR", "Folder that pianofit batch LIBRARY --out DIR wrote.")],
+    out: Annotated[
+        Path | None, text("DIR", "Folder for the mended recordings and changes.csv. Required without --dry-run.")
+    ] = None,
     tails: Annotated[
-        float, typer.Option(parser=number, metavar="S", help="Length after the onset that tails get; 0: as they are.")
+        float,
+        typer.Option(
+            parser=number, metavar="S", help="Lengthen recordings to S seconds after the onset; 0 leaves them."
+        ),
     ] = 10.0,
     even: Annotated[
-        float, typer.Option(parser=number, metavar="0...1", help="Move levels towards an even keyboard.")
+        float,
+        typer.Option(
+            parser=number, metavar="0...1", help="Move the levels, and nothing else, towards the keyboard law."
+        ),
     ] = 0.0,
     onsets: Annotated[
         float, typer.Option(parser=number, metavar="0...1", help="Remove surplus silence before onsets.")
     ] = 0.0,
-    fill: Annotated[bool, typer.Option(help="Add layers and keys that were not recorded, in DIR/added.")] = True,
+    fill: Annotated[bool, typer.Option(help="Add layers and keys that were not recorded, in OUT/added.")] = True,
     keys: Annotated[
         str | None, text("KEYS", "Keys to fill, such as A0-C8. Default: from the lowest recorded to the highest.")
     ] = None,
@@ -73,7 +81,7 @@ def mend(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Lengthen, even out and complete the recordings of a fitted library. Originals are never changed."""
+    """Lengthen and level the recordings of a fitted library, and fill its gaps. Originals are never changed."""
     from ..export import parse_keys
     from ..mend import MendOptions, mend_library
 

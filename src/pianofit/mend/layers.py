@@ -17,7 +17,7 @@ from ..model.modal_response import PRE_ONSET_S
 # Keys from which on a layer's velocity has a slope over the keyboard.
 FEWEST_FOR_SLOPE = 3
 # A layer is missing on a key if at least this share of the recorded keys have it.
-USUAL = 0.5
+LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def layer_laws(velocities: Mapping[str, Mapping[int, float]]) -> dict[str, Layer
 def missing_sounds(recorded: Mapping[str, Mapping[int, float]], keys: Sequence[int]) -> list[tuple[int, str]]:
     """List keys and layers without a recording: every layer that is usual among the recorded keys, on every key."""
     known = set().union(*recorded.values()) if recorded else set()
-    usual = [layer for layer, by_key in recorded.items() if len(by_key) >= USUAL * len(known)]
+    usual = [layer for layer, by_key in recorded.items() if len(by_key) >= LEAST_SHARE * len(known)]
     return [(midi, layer) for midi in keys for layer in usual if midi not in recorded[layer]]
 
 

@@ -17,10 +17,12 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..batch import Key, Sample, read_keys
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError, RecordingError, SetupError, check_range
 from ..instrument import Instrument, find_fits, load_instrument
+from ..instrument.key_quantities import stroke_level
 from ..io.audio import decode
-from ..io.files import PEAK_LIMIT, encode_pcm, limit_peak, output_folder, printable, read_file, replace_file
+from ..io.files import PEAK_LIMIT, encode_pcm, encode_wav, limit_peak, output_folder, printable, read_file, replace_file
 from ..io.table_output import write_csv
 from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import MAX_BYTES, load_recording
@@ -31,8 +33,8 @@ from .tail import Continuation, continue_by_modes, end_in_silence, lengthen, mod
 LIST = "changes.csv"
 # Folder, in the output, of sounds that were never recorded.
 ADDED = "added"
-# Bits of files that hold these samples exactly; others are written with 24.
-BITS = {"PCM_16": 16, "PCM_S8": 16, "PCM_U8": 16}
+# Bits of changed files: 24, which hold a tail down to its end without dither, or 32 for floats.
+BITS, FLOAT_BITS, FLOATS = 24, 32, ("FLOAT", "DOUBLE")
 # Smallest change of level, dB, and of the onset, s, that is made.
 LEAST_GAIN_DB, LEAST_SHIFT = 0.05, 1e-4
 
@@ -74,6 +76,8 @@ class MendOptions(NamedTuple):
         check_range("tails=", self.tails, 0.0, 120.0, " s")
         check_range("even=", self.even, 0.0, 1.0)
         check_range("onsets=", self.onsets, 0.0, 1.0)
+        for key in self.keys or ():
+            check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
         return self
 
 
@@ -135,10 +139,15 @@ def mend_library(
     """
     options.check()
     keys, remarks = read_keys(library, pattern=pattern)
+    names = sorted({key.instrument for key in keys})
+    if len(names) > 1 if prefix is None else prefix not in names:
+        which = "several instruments" if prefix is None else f"no instrument {printable(prefix)!r}"
+        raise SetupError(
+            f"{printable(library)}: has {which}; choose one of {', '.join(map(printable, names))} by --prefix"
+        )
     keys = [key for key in keys if prefix is None or key.instrument == prefix]
-    if not keys:
-        raise SetupError(f"{printable(library)}: no key of the instrument {prefix!r}; leave out --prefix")
     root = (library if library.is_dir() else library.parent).resolve()
+    _check_places(library, root, [sample.file for _, sample in _notes(keys)])
     if out is not None:
         _check_out(out, root, [sample.file for _, sample in _notes(keys)])
     digests = _digests(keys)
@@ -162,12 +171,9 @@ def mend_library(
 
 
 def _digests(keys: Sequence[Key]) -> dict[Path, str]:
-    """SHA-256 of all recordings. Every one is decoded, so that none stops the work half-way."""
-    found = {}
-    for _, sample in _notes(keys):
-        _Original.read(sample.file)
-        found[sample.file] = hashlib.sha256(read_file(sample.file, MAX_BYTES, RecordingError)).hexdigest()
-    return found
+    """SHA-256 of all recordings."""
+    files = [sample.file for _, sample in _notes(keys)]
+    return {file: hashlib.sha256(read_file(file, MAX_BYTES, RecordingError)).hexdigest() for file in files}
 
 
 def _read(keys: list[Key], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
@@ -178,12 +184,24 @@ def _read(keys: list[Key], root: Path, instrument: Instrument, digests: dict[Pat
     for key, sample in _notes(keys):
         if digests[sample.file] in velocity:
             recorded.setdefault(sample.layer, {})[note_to_midi(key.note)] = velocity[digests[sample.file]]
+    if not recorded:
+        raise FitError(f"the instrument has other recordings than {printable(root)}; run pianofit batch again")
     return _Library(root, keys, instrument, layer_laws(recorded), recorded)
 
 
 def _notes(keys: Sequence[Key]) -> Iterator[tuple[Key, Sample]]:
     """Yield the strokes of all keys; recordings of other roles are left out."""
     yield from ((key, sample) for key in keys for sample in key.samples if sample.role == "note")
+
+
+def _check_places(library: Path, root: Path, files: Sequence[Path]) -> None:
+    """Raise a `SetupError` if two recordings would be written to one file."""
+    places = Counter(_written(root, file) for file in files)
+    twice = [place for place, count in places.items() if count > 1]
+    if twice:
+        raise SetupError(
+            f"{printable(library)}: several recordings would be written to {printable(twice[0])}; rename one"
+        )
 
 
 def _check_out(out: Path, root: Path, files: Sequence[Path]) -> None:
@@ -198,18 +216,23 @@ def _mended(
 ) -> Iterator[_Sound]:
     """Yield all sounds of the mended library."""
     notes, layouts = list(_notes(library.keys)), Counter[tuple[int, int, int, str]]()
-    gains, common = _gains(library, options.even) if options.even else ({}, 0.0)
+    several = any(sample.group for _, sample in notes)
+    if several and (options.fill or options.even):
+        remarks.append("the library has several microphones; sounds are not added and levels stay as they are")
+    gains, common = _gains(library, options.even) if options.even and not several else ({}, 0.0)
     if common < 0:
         remarks.append(f"all levels are lowered by {-common:.1f} dB, so that the loudest stays below full scale")
     for i, (key, sample) in enumerate(notes):
-        original = _Original.read(sample.file)
-        gain = gains[sample.file] + common if sample.file in gains else 0.0
+        try:
+            original = _Original.read(sample.file)
+        except RecordingError as error:
+            yield _copied(library, key, sample, str(error))
+            continue
+        gain = gains.get(sample.file, 0.0) + common
         yield _mend(library, options, key, sample, original, gain)
         layouts[original.layout] += 1
         progress("mending", (i + 1) / len(notes))
-    if options.fill and any(sample.group for _, sample in notes):
-        remarks.append("the library has several microphones, so that missing sounds are not added")
-    elif options.fill:
+    if options.fill and not several:
         yield from _filled(library, options, layouts.most_common(1)[0][0], common, progress)
 
 
@@ -220,10 +243,10 @@ def _gains(library: _Library, even: float) -> tuple[dict[Path, float], float]:
         midi = note_to_midi(key.note)
         if midi not in library.recorded.get(sample.layer, {}):
             continue
-        it = _Original.read(sample.file)
+        original = _Original.read(sample.file)
         wanted = even_level(library.instrument, midi, library.laws[sample.layer])
-        gains[sample.file] = even * (wanted - recorded_level(it.sound, it.rate, it.onset))
-        highest = max(highest, 20 * np.log10(np.abs(it.sound).max()) + gains[sample.file])
+        gains[sample.file] = even * (wanted - recorded_level(original.sound, original.rate, original.onset))
+        highest = max(highest, 20 * np.log10(np.abs(original.sound).max()) + gains[sample.file])
     return gains, float(min(20 * np.log10(PEAK_LIMIT) - highest, 0.0))
 
 
@@ -244,7 +267,7 @@ class _Original(NamedTuple):
         except RecordingError as error:
             raise RecordingError(f"{printable(file)}: {error}") from None
         kind = "flac" if file.suffix.lower() == ".flac" else "wav"
-        return cls(frames.T, rate, load_recording(file).onset, BITS.get(subtype, 24), kind)
+        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS, kind)
 
     @property
     def layout(self) -> tuple[int, int, int, str]:
@@ -256,9 +279,8 @@ def _mend(
     library: _Library, options: MendOptions, key: Key, sample: Sample, original: _Original, gain: float
 ) -> _Sound:
     """Mend one recording."""
-    sound, rate, onset, bits, kind = original
-    place = _place(library.root, sample.file)
-    written = place if kind == "flac" else Path(place).with_suffix(".wav").as_posix()
+    sound, rate, onset, bits, _ = original
+    written = _written(library.root, sample.file)
     changes, reason = list[Change](), "no change was asked for"
 
     def add(change: str, before: float, after: float, unit: str, detail: str) -> None:
@@ -285,8 +307,14 @@ def _mend(
         add("onset", onset / rate, onset / rate - surplus, "s", "silence before it removed")
     if changes:
         return _Sound(written, sound, rate, bits, sample.file, changes)
+    return _copied(library, key, sample, reason)
+
+
+def _copied(library: _Library, key: Key, sample: Sample, reason: str) -> _Sound:
+    """Return a file that is copied as it is."""
+    place = _place(library.root, sample.file)
     unchanged = Change(place, key.note, sample.layer, "unchanged", None, None, "", reason)
-    return _Sound(place, None, rate, bits, sample.file, [unchanged])
+    return _Sound(place, None, 0, 0, sample.file, [unchanged])
 
 
 def _continuation(instrument: Instrument, midi: int, original: _Original, seconds: float) -> Continuation | str:
@@ -295,14 +323,20 @@ def _continuation(instrument: Instrument, midi: int, original: _Original, second
     have, key = (sound.shape[-1] - onset) / rate, instrument.keys.get(midi)
     if have >= seconds:
         return f"it rings for {have:.2f} s already"
-    if key is None or key.fit is None or key.note.modal_response is None:
-        return "its key has no measured modes"
-    return continue_by_modes(sound, rate, onset, modes_of_key(key.note.modal_response))
+    if key is None or key.fit is None:
+        return "its key has no fit"
+    return continue_by_modes(sound, rate, onset, modes_of_key(key.note))
 
 
 def _place(root: Path, file: Path) -> str:
     """Place of a file in the output folder."""
     return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+
+def _written(root: Path, file: Path) -> str:
+    """Place of a changed recording, a FLAC or a WAV file."""
+    place = Path(_place(root, file))
+    return place.as_posix() if place.suffix.lower() == ".flac" else place.with_suffix(".wav").as_posix()
 
 
 def _filled(
@@ -315,15 +349,21 @@ def _filled(
     """Yield the sounds that were not recorded, as the instrument plays them, with a `common` gain, dB."""
     channels, rate, bits, kind = layout
     recorded = sorted(set().union(*library.recorded.values()))
-    missing = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
+    present = {(note_to_midi(key.note), sample.layer) for key, sample in _notes(library.keys)}
+    wanted = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
+    missing = [sound for sound in wanted if sound not in present]  # also a recording without a fit is there
     for i, (midi, layer) in enumerate(missing):
         key, velocity = library.instrument.keys[midi], library.laws[layer].velocity(midi)
         seconds = options.tails or MendOptions().tails
         sound = np.atleast_2d(key.note.render(velocity, seconds=seconds, rate=rate, mono=channels == 1))
-        sound, limited = limit_peak(10 ** (common / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
+        if len(sound) not in (1, channels):
+            sound = sound.mean(axis=0, keepdims=True)
+        level = even_level(library.instrument, midi, library.laws[layer]) if options.even else 0.0
+        gain = common + options.even * (level - stroke_level(key.note, velocity) if options.even else 0.0)
+        sound, limited = limit_peak(10 ** (gain / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
         note = midi_to_note(midi)
         name = "-".join(part for part in (library.keys[0].instrument, note.replace("#", "s"), layer) if part)
-        detail = "of a recorded key" if midi in recorded else "of a guessed key"
+        detail = "computed from the fit of this key" if midi in recorded else "computed from the keyboard laws"
         detail += f", lowered by {-20 * np.log10(limited):.2f} dB to stay below full scale" * (limited < 1)
         place = f"{ADDED}/{name}.{kind}"
         change = Change(place, note, layer, "added", None, round(velocity, 3), "m/s", detail)
@@ -339,4 +379,7 @@ def _write(folder: Path, sound: _Sound) -> None:
         return
     kind = "flac" if file.suffix.lower() == ".flac" else "wav"
     if sound.frames is not None:
-        replace_file(file, encode_pcm(sound.frames, sound.rate, kind, sound.bits))
+        if sound.bits == FLOAT_BITS and kind == "wav":
+            replace_file(file, encode_wav(sound.frames, sound.rate))
+        else:
+            replace_file(file, encode_pcm(sound.frames, sound.rate, kind, BITS))

@@ -4,8 +4,8 @@ The modes of a key decay as its fit says. How loud each is, and in which phase, 
 the last seconds that are still above the noise. There the recording fades into its own continuation. Both have the same
 phases, so that neither level nor slope changes.
 
-The joint is the latest time before which the recording is not faded out. A file that somebody has faded out falls
-faster than the modes of its key. Where noise prevails, the joint lies earlier as well.
+The joint is the latest time at which no fade is detected. A file that somebody has faded out falls faster than the
+modes of its key. The joint can lie within the first half of a fade. Where noise prevails, it lies earlier as well.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from ..dsp.common_poles import Signals, fit_amplitudes
 from ..dsp.damped_sums import powers, sum_damped_modes
 from ..modal_response import partial_band
 from ..model.modal_response import ModalResponse
+from ..model.note import Note
 
 # Time before the joint in which amplitudes are measured, s. Modes of one partial differ by some tenths of a hertz.
 MEASURED = 1.5
-# Shortest such time, s, and the earliest begin of it after the onset: before, the attack and the knock still sound.
+# Shortest such time, s, and its earliest start after the onset: before, the attack and the knock still sound.
 LEAST_MEASURED, EARLIEST = 0.5, 0.15
 # Length of the crossfade before the joint, s: several periods of the lowest partial, and short against the decay.
 CROSSFADE = 0.2
 # Step between the joints that are tried, s.
 STEP = 0.1
 # Largest difference of level, dB, and of slope, dB/s, between a recording and its continuation. A step of 1 dB is just
-# audible.
+# audible. A slope measured over a second is uncertain by about this much where few partials are left.
 LARGEST_STEP, LARGEST_SLOPE = 1.0, 4.0
 # A recording is faded out if the median of its partials falls by so much, dB, below their modes: within the last third
-# of the measured time, or in the last frames. A fade of one second falls by 8 and 20 dB. See benchmarks/mend.py.
+# of the measured time, or in the last frames. A linear fade of one second falls by 8 and 20 dB.
 FADED_LAST, FADED_END = 2.0, 3.0
-# Once a fade is seen, its begin is where this share of the fall is left.
-BEGIN_OF_FADE = 0.25
+# Once a fade is seen, its start is where this share of the fall is left.
+START_OF_FADE = 0.25
 # The last frames, s.
 LAST = 0.1
 # A partial counts if it exceeds the noise next to it by this factor.
@@ -50,14 +51,17 @@ ENVELOPE = 0.06
 OFFSET, RELATIVE_OFFSET = 0.1, 1.2e-3
 # Frequencies are tried in steps of this share of a period of the measured time.
 PHASE_STEP = 0.1
-# Factors of a partial's decay rates that are tried: range and number. The standard deviation of their logarithms is
-# that of decay rates from two seconds of sound (benchmarks/mend.py).
+# Factors of a partial's decay rates that are tried: range and number; and the standard deviation of their logarithms.
+# Chosen on three pianos. From 0.1 to 0.4 the median of benchmarks/mend.py changes by 0.1 dB. Without a prior it is
+# 0.3 dB larger.
 DECAY_FACTORS, DECAY_SD = (0.25, 4.0, 41), 0.2
+# Partials of a string without measured modes. Higher ones have decayed before any joint.
+STRING_PARTIALS = 60
 # A continued sound ends where its level falls below this, dB re full scale, and fades over this share of its length.
 SILENT_DB, FADE = -100.0, 0.05
 
 
-class KeyModes(NamedTuple):
+class PartialModes(NamedTuple):
     """Modes of one partial of a key."""
 
     pole: np.ndarray  # complex, 1/s [modes]
@@ -78,24 +82,34 @@ class Continuation(NamedTuple):
 class _Band(NamedTuple):
     """A partial in a recording."""
 
-    modes: KeyModes
+    modes: PartialModes
     bands: Bands
     noise: np.ndarray  # rms magnitude of the noise [channels]
 
 
-def modes_of_key(response: ModalResponse) -> list[KeyModes]:
-    """Group the modes of a key by partial."""
+def modes_of_key(note: Note) -> list[PartialModes]:
+    """Return the modes of a key by partial: measured ones, or those of its string if none were measured."""
+    if note.modal_response is not None:
+        return _grouped(note.modal_response)
+    number = np.arange(1, STRING_PARTIALS + 1)
+    hz, length = note.frequencies(STRING_PARTIALS), note.geometry.length
+    rate = note.string.b1 + note.string.b2 * (number * np.pi / length) ** 2
+    poles = -np.asarray(rate) + 2j * np.pi * hz
+    return [PartialModes(pole[None], float(f), float(note.f0)) for pole, f in zip(poles, hz, strict=True)]
+
+
+def _grouped(response: ModalResponse) -> list[PartialModes]:
     numbers = np.unique(response.partial)
     poles = [response.pole[response.partial == number] for number in numbers]
     hz = np.array([float(np.imag(pole).mean()) / (2 * np.pi) for pole in poles])
     if len(hz) < 2:
-        return [KeyModes(pole, f, f) for pole, f in zip(poles, hz, strict=True)]
+        return [PartialModes(pole, f, f) for pole, f in zip(poles, hz, strict=True)]
     gaps = np.diff(hz)
     spacing = np.minimum(np.r_[gaps[:1], gaps], np.r_[gaps, gaps[-1:]])
-    return [KeyModes(pole, float(f), float(s)) for pole, f, s in zip(poles, hz, spacing, strict=True)]
+    return [PartialModes(pole, float(f), float(s)) for pole, f, s in zip(poles, hz, spacing, strict=True)]
 
 
-def continue_by_modes(sound: np.ndarray, rate: int, onset: int, modes: Sequence[KeyModes]) -> Continuation | str:
+def continue_by_modes(sound: np.ndarray, rate: int, onset: int, modes: Sequence[PartialModes]) -> Continuation | str:
     """Find the latest joint of a recording and its modes there, or say why there is none.
 
     Parameters
@@ -107,25 +121,28 @@ def continue_by_modes(sound: np.ndarray, rate: int, onset: int, modes: Sequence[
     """
     ringing = sound[:, onset:]
     seconds = ringing.shape[-1] / rate
-    bands = _bands(ringing, rate, modes)
-    if not bands:
-        return "no partial exceeds the noise"
     first = EARLIEST + LEAST_MEASURED
     if seconds < first:
         return f"it rings for {seconds:.2f} s; at least {first:.2f} s are needed"
+    bands = _bands(ringing, rate, modes)
+    if not bands:
+        return "no partial of its key lies below half of its sample rate"
     tolerance = 1.0
     for joint in np.arange(seconds, first, -STEP):
         parts = [found for band in bands if (found := _partial_at(band, float(joint))) is not None]
         if not parts:
             continue  # noise alone
         if _falls(parts) > tolerance:
-            tolerance = BEGIN_OF_FADE
+            tolerance = START_OF_FADE
             continue
         found = _joined(parts, float(joint))
         if abs(found.step_db) > LARGEST_STEP or abs(found.slope_db) > LARGEST_SLOPE:
-            return f"at {joint:.1f} s it decays otherwise than the modes of its key"
+            return (
+                f"at {joint:.1f} s its level differs by {found.step_db:+.1f} dB and its slope by "
+                f"{found.slope_db:+.1f} dB/s from the modes of its key"
+            )
         return found._replace(joint=onset + round(float(joint) * rate))
-    return "it is noise, or faded out, from its begin"
+    return "it is noise, or faded out, from the start"
 
 
 def lengthen(sound: np.ndarray, rate: int, onset: int, seconds: float, by: Continuation) -> np.ndarray:
@@ -141,7 +158,7 @@ def lengthen(sound: np.ndarray, rate: int, onset: int, seconds: float, by: Conti
 
 
 def end_in_silence(sound: np.ndarray, least: int) -> np.ndarray:
-    """Cut a sound [channels, samples] where it becomes silent, after `least` samples, and fade it out from there on."""
+    """Cut a sound [channels, samples] where it becomes silent, after `least` samples, and fade out its end."""
     loud = np.flatnonzero(np.abs(sound).max(axis=0) > 10 ** (SILENT_DB / 20))
     sound = sound[:, : max(int(loud.max(initial=0)) + 1, least)].copy()
     fade = min(max(round(FADE * sound.shape[-1]), 2), sound.shape[-1] - least)
@@ -149,7 +166,7 @@ def end_in_silence(sound: np.ndarray, least: int) -> np.ndarray:
     return sound
 
 
-def _bands(ringing: np.ndarray, rate: int, modes: Sequence[KeyModes]) -> list[_Band]:
+def _bands(ringing: np.ndarray, rate: int, modes: Sequence[PartialModes]) -> list[_Band]:
     """Bands of the partials below half of the rate."""
     size = fast_length(ringing.shape[-1])
     spectrum, seconds = np.fft.rfft(ringing, size), ringing.shape[-1] / rate

@@ -39,20 +39,22 @@ def in_short(result: Result, clips: Sequence[Clip]) -> list[tuple[str, str]]:
 
 def _match(result: Result) -> str:
     fit = result.fit
-    levels = f"The levels of the partials are {number(fit.levels.fitted_db, 2)} dB (rms) from the recorded ones."
+    levels = (
+        f"The model's levels of the partials are {number(fit.levels.fitted_db, 2)} dB (rms) from the recorded ones."
+    )
     error = None if fit.modal_response is None else fit.modal_response.prediction_error_db
     if error is None:
         return levels
-    return f"{levels} A recording that takes no part in the fit is predicted within {number(error, 2)} dB a partial."
+    return f"{levels} Recordings that are left out of the fit are predicted with a mean error of {number(error, 2)} dB."
 
 
 def _tuning(result: Result) -> str:
     derived = result.fit.derived
     midi = midi_of(derived.f0)
     key, bend = round(midi), glide(result.fit)
-    cents = f"{100 * (midi - key):+.0f}".replace("-", "−")
-    rises = f" It {bend} while the note decays." if bend else ""
-    return f"{number(derived.f0, 5)} Hz, {cents} cents from {midi_to_note(key)} at A4 = 440 Hz.{rises}"
+    cents = f"{round(100 * (midi - key)):+d}".replace("-", "−")
+    change = f" It {bend} while the note decays." if bend else ""
+    return f"{number(derived.f0, 5)} Hz, {cents} cents from {midi_to_note(key)} at A4 = 440 Hz.{change}"
 
 
 def _loudness(result: Result, clips: Sequence[Clip]) -> str:
@@ -63,21 +65,23 @@ def _loudness(result: Result, clips: Sequence[Clip]) -> str:
     values = [row.stroke_value for row in result.fit.recordings]
     if not law_of(result.note.hammer).has_contact or len(values) < 2:
         return own
-    return f"{own} Recorded strokes are from {number(min(values), 2)} to {number(max(values), 2)} m/s."
+    if result.fit.velocity_scale_open:
+        return f"{own} The loudest hammer is {number(max(values) / min(values), 2)} times as fast as the softest."
+    return f"{own} The estimated hammer velocities are {number(min(values), 2)} to {number(max(values), 2)} m/s."
 
 
 def _ring(decays: Sequence[PartialDecay]) -> str:
     """Describe how the lowest partials decay by 60 dB, right after the stroke and later."""
     found = []
     for decay in decays[:PARTIALS]:
-        times = [f"{number(t, 2)} s {when}" for t, when in ((decay.early, "at first"), (decay.late, "later")) if _is(t)]
-        beats = f", beats of {number(decay.beat_frequency, 2)} Hz" if _is(decay.beat_frequency) else ""
+        times = [
+            f"{number(t, 2)} s {when}"
+            for t, when in ((decay.early, "at first"), (decay.late, "later"))
+            if math.isfinite(t)
+        ]
+        beats = f", beats of {number(decay.beat_frequency, 2)} Hz" if math.isfinite(decay.beat_frequency) else ""
         if times:
             found.append(f"partial {decay.number}: {' and '.join(times)}{beats}")
     if not found:
-        return "It is too uncertain."
+        return "The decay times are too uncertain to state."
     return f"Time to fall by 60 dB: {'; '.join(found)}."
-
-
-def _is(value: float) -> bool:
-    return math.isfinite(value)
