@@ -1,0 +1,82 @@
+#!/usr/bin/env python
+"""Every study of docs/benchmarks.md, one after the other.
+
+    python benchmarks/all.py [WORD...] [--set NAME=VALUE...] [--list] [--out build/benchmarks]
+
+The commands are those of the tables on that page, which is their only list. A WORD keeps the commands that contain
+it. Names in capitals, such as INSTRUMENT.JSON or FITS, are replaced by `--set INSTRUMENT.JSON=path`. Commands with a
+name that has no value are skipped and listed. The output of each goes to a file with the commit, the machine, the load
+and the time that it took.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "benchmarks.md"
+# A command in the first cell of a row, and a name to be replaced.
+COMMAND = re.compile(r"^\| `(python [^`]+)`", re.MULTILINE)
+NAME = re.compile(r"^[A-Z][A-Z.]+(\.\.\.)?$")
+
+
+def commands(words: list[str], values: dict[str, str]) -> tuple[list[list[str]], list[str]]:
+    """Return the commands to run, with values in place of names, and those that lack a value."""
+    ready, lacking = [], []
+    for text in COMMAND.findall(PAGE.read_text(encoding="utf-8")):
+        if words and not any(word in text for word in words):
+            continue
+        parts = [values.get(part.removesuffix("..."), part) for part in shlex.split(text)]
+        if any(NAME.match(part) for part in parts):
+            lacking.append(text)
+        else:
+            ready.append([sys.executable, *parts[1:]])
+    return ready, lacking
+
+
+def origin() -> str:
+    """Return commit, machine and load as lines."""
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"commit {commit}, {platform.platform()}, {os.cpu_count()} cores{load}, Python {platform.python_version()}"
+
+
+def main() -> None:
+    """Run the commands and print how long each took."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs="*")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="values")
+    parser.add_argument("--list", action="store_true", help="print the commands and run none")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "benchmarks")
+    options = parser.parse_args()
+    ready, lacking = commands(options.words, dict(value.split("=", 1) for value in options.values))
+    failed = 0
+    for command in ready:
+        name = "-".join(re.sub(r"[^A-Za-z0-9]+", "-", Path(part).stem).strip("-") for part in command[1:])
+        if options.list:
+            print(shlex.join(["python", *command[1:]]))
+            continue
+        options.out.mkdir(parents=True, exist_ok=True)
+        begin, head = time.monotonic(), origin()
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        seconds = time.monotonic() - begin
+        head = f"$ {shlex.join(['python', *command[1:]])}\n{head}\n{seconds:.0f} s, exit code {done.returncode}\n\n"
+        (options.out / f"{name[:100]}.txt").write_text(head + done.stdout + done.stderr, encoding="utf-8")
+        failed += done.returncode != 0
+        print(f"{seconds:8.0f} s  {'failed' if done.returncode else 'done  '}  {name}", flush=True)
+    for text in lacking:
+        print(f"skipped, lacks a value (--set): {text}")
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
