@@ -19,6 +19,7 @@ CHECKED = [
     "pianofit.inference.batched_model",
     "pianofit.inference.likelihood",
     "pianofit.inference.nuts",
+    "pianofit.inference.objective_function",
     "pianofit.inference.density",
     "pianofit.bensa2005.spectral_criterion",
     "pianofit.x64",

@@ -106,7 +106,7 @@ def test_the_layers_of_a_fit_come_with_its_instrument(tmp_path, capsys):
         ("/take 0.wav", pytest.approx(0.102)), ("/take 1.wav", 0.1), ("/take 2.wav", 0.1),
     ]  # fmt: skip
     # The keyboard moves the scale of all velocities, and with one key hardly.
-    ratios = [layer.velocity / row["v_H0"] for layer, row in zip(layers, document["recordings"], strict=True)]
+    ratios = [layer.velocity / row["stroke_value"] for layer, row in zip(layers, document["recordings"], strict=True)]
     assert ratios == pytest.approx([ratios[0]] * 3, rel=1e-9)
     assert layers[-1].velocity == pytest.approx(4.0, rel=0.05)
     assert main(["page", str(tmp_path), "--recordings"]) == 1

@@ -128,8 +128,8 @@ def test_missing_levels_and_initial_values_are_named(made):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("v_H0", "fast"),
-        ("v_H0", 1e9),
+        ("stroke_value", "fast"),
+        ("stroke_value", 1e9),
         ("pitch_offset_cents", 1e6),
         ("gain", None),
         ("pitch_offset_cents", 1e200),

@@ -2,7 +2,7 @@
 
 import { encodeWav } from "./output.js";
 
-const SCHEMA = 7; // of fit.json: FIT_SCHEMA in schema/fit.py
+const SCHEMA = 8; // of fit.json: FIT_SCHEMA in schema/fit.py
 
 /** Bytes as base64, in parts, because the number of arguments of a call is limited. */
 function base64(bytes) {
