@@ -88,7 +88,7 @@ def main() -> None:
     sound, given = (notes[0].samples, notes[0].rate), {"setup": setup, "velocity": true["v_H0"], "note": true["key"]}
     result = pianofit.fit(sound, **given, start=start, budget=20, progress=False)
     fitted = result.parameters.M_H
-    low, high = fitted.interval
+    low, high = fitted.interval or (float("nan"), float("nan"))
     print(
         f"M_H: guess {start['M_H']:.3g}, fitted {fitted.value:.3g} ({low:.3g}, {high:.3g}), true {true['M_H']:.3g} kg"
     )
