@@ -48,6 +48,7 @@ class CoupledModes:
         self.pole, self.drive, self.common = pole, drive, common
         omega = np.imag(pole)
         self._omega = omega / TAPER
+        self._above, self._below, self._twice = 1 + self._omega, 1 - self._omega, 2 * self._omega
         self._left = np.searchsorted(omega, omega - TAPER)
         self._right = np.searchsorted(omega, omega + TAPER, side="right")
         self._own = _own_taper(np.imag(pole), string)
@@ -64,8 +65,8 @@ class CoupledModes:
         sums, moments = np.zeros((2, len(driven) + 1), complex)
         np.cumsum(driven, out=sums[1:])
         np.cumsum(driven * omega, out=moments[1:])
-        total = sums[right] * (1 + omega) - sums[left] * (1 - omega) - 2 * omega * sums[1:]
-        total += 2 * moments[1:] - moments[left] - moments[right]
+        total = sums.take(right) * self._above - sums.take(left) * self._below - self._twice * sums[1:]
+        total += 2 * moments[1:] - moments.take(left) - moments.take(right)
         total -= (self._own @ driven.view(float).reshape(-1, 2)).view(complex)[:, 0]
         return self.common * drive * total
 
