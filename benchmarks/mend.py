@@ -51,10 +51,10 @@ def judge(file: Path, cut: Path, folder: Path) -> tuple[str, float, float]:
     mended = lengthen(short.T, rate, onset, END + 1, found)
     true, own = level(whole.T, rate), level(mended, rate)
     time = BLOCK * (np.arange(len(true)) + 0.5)
-    heard = (time > CUT) & (true > 20 * np.log10(load_recording(file).noise_rms + 1e-9) + ABOVE_NOISE_DB)
-    if not heard.any():
+    audible = (time > CUT) & (true > 20 * np.log10(load_recording(file).noise_rms + 1e-9) + ABOVE_NOISE_DB)
+    if not audible.any():
         return f"{file.stem:24} noise after {CUT:g} s", np.nan, late
-    error = float(np.median(np.abs(own - true)[heard]))
+    error = float(np.median(np.abs(own - true)[audible]))
     step = f"joint {found.joint / rate:.2f} s, step {found.step_db:+.2f} dB, slope {found.slope_db:+.2f} dB/s"
     return f"{file.stem:24} {error:5.2f} dB   {step}   fade: joint {late:+.1f} s", error, late
 

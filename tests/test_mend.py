@@ -64,9 +64,9 @@ def test_a_cut_recording_gets_its_own_tail_again():
     kept = cut.shape[1] - round(CROSSFADE * RATE)
     np.testing.assert_array_equal(mended[:, :kept], cut[:, :kept])
     assert mended.shape == whole.shape
-    heard = slice(kept, ONSET + round(5.0 * RATE))
-    assert np.abs(level(mended[:, heard]) - level(whole[:, heard])).max() < 0.3
-    # The waveform itself goes on, so that nothing can be heard at the joint.
+    audible = slice(kept, ONSET + round(5.0 * RATE))
+    assert np.abs(level(mended[:, audible]) - level(whole[:, audible])).max() < 0.3
+    # The waveform itself goes on, so that the joint is inaudible.
     joint = slice(kept, cut.shape[1] + RATE // 5)
     error = np.sqrt(np.mean((mended - whole)[:, joint] ** 2) / np.mean(whole[:, joint] ** 2))
     assert error < 0.01

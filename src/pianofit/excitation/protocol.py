@@ -119,7 +119,7 @@ class Excitation:
 
         Parameters
         ----------
-        modes : the table of modes. Plain arithmetic suffices, so this room does not load JAX.
+        modes : the table of modes. Plain arithmetic suffices, so this package does not load JAX.
         hammer : an object of `hammer_type`.
         """
         raise NotImplementedError

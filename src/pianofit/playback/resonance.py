@@ -30,7 +30,7 @@ RATE_RATIO = 2.2
 # Steps whose sound is computed at once.
 CHUNK_HOPS = 128
 # Share of audible modes above which the silent ones are computed as well.
-MOST_HEARD = 0.8
+MOST_AUDIBLE = 0.8
 # Largest amplitude of the sound that counts as silence, file units: -160 dB.
 SILENCE = 1e-8
 
@@ -111,10 +111,10 @@ def render_resonance(
         progress((first + count) / hops)
         if amplitude is None:
             continue
-        heard = (np.abs(amplitude).max(axis=0) * np.abs(free.sound).max(axis=0)) > SILENCE
-        if not heard.any():
+        audible = (np.abs(amplitude).max(axis=0) * np.abs(free.sound).max(axis=0)) > SILENCE
+        if not audible.any():
             continue
-        chosen = slice(None) if heard.mean() > MOST_HEARD else heard  # a choice copies the window
+        chosen = slice(None) if audible.mean() > MOST_AUDIBLE else audible  # a choice copies the window
         rows = window[chosen].reshape(-1, window.shape[-1])
         driven = np.ascontiguousarray(amplitude[:, chosen] * free.sound[:, None, chosen])  # [channels, hops, modes]
         pieces = driven.view(float).reshape(-1, len(rows)) @ rows

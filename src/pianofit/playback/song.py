@@ -171,8 +171,8 @@ def render_song(
             lambda share: progress("playing", 0.7 + 0.28 * share),
         )
         total[:, lead:] += added
-        heard = np.abs(added).max(axis=0) > max(10 ** (INAUDIBLE_DB / 20) * np.abs(total).max(), SILENCE)
-        last = max(last, lead + int(np.flatnonzero(heard).max(initial=-1)) + 1)
+        audible = np.abs(added).max(axis=0) > max(10 ** (INAUDIBLE_DB / 20) * np.abs(total).max(), SILENCE)
+        last = max(last, lead + int(np.flatnonzero(audible).max(initial=-1)) + 1)
     last = max(last, _add_releases(total, instrument, song, rate, lead))
     if options.noise and instrument.noise is not None:
         total[:, :last] += instrument.noise.sound(last, rate, options.seed)
