@@ -323,27 +323,24 @@ def _best_velocities(
     for s in strokes:
         flat = T[s].reshape(count * V, -1)
         own[:, s] += 0.5 * ((flat @ Q[s][s]) * flat).sum(axis=1).reshape(count, V)
-    best, chosen = np.full(count, np.inf), np.zeros((count, len(strokes)), int)
-    for start in starts:
-        v = start.copy()
-        at = [T[s][S, v[:, s]] for s in strokes]
+    v = np.stack(starts, axis=1)  # of all starts at once [S, starts, strokes]
+    at = [T[s][S[:, None], v[..., s]] for s in strokes]
 
-        def of_others(s: int, at: list[np.ndarray] = at) -> np.ndarray:
-            """Derivative of the surrogate by the residuals of a stroke through those of all others [S, entries]."""
-            return sum((at[t] @ Q[t][s] for t in strokes if t != s), np.zeros_like(at[s]))
+    def of_others(s: int) -> np.ndarray:
+        """Derivative of the surrogate by the residuals of a stroke through those of all others [S, starts, entries]."""
+        return sum((at[t] @ Q[t][s] for t in strokes if t != s), np.zeros_like(at[s]))
 
-        for _ in range(8):  # at most: it ends when no velocity changes
-            before = v.copy()
-            for s in strokes:
-                v[:, s] = (own[:, s] + (T[s] @ of_others(s)[..., None])[..., 0]).argmin(axis=1)
-                at[s] = T[s][S, v[:, s]]
-            if (v == before).all():
-                break
-        cost = own[S[:, None], np.arange(len(strokes)), v].sum(axis=1)
-        cost += 0.5 * sum((at[s] * of_others(s)).sum(axis=1) for s in strokes)
-        better = cost < best
-        best[better], chosen[better] = cost[better], v[better]
-    return best, chosen
+    for _ in range(8):  # at most: it ends when no velocity changes
+        before = v.copy()
+        for s in strokes:
+            v[..., s] = (own[:, s, None] + of_others(s) @ T[s].swapaxes(1, 2)).argmin(axis=2)
+            at[s] = T[s][S[:, None], v[..., s]]
+        if (v == before).all():
+            break
+    cost = own[S[:, None, None], np.arange(len(strokes)), v].sum(axis=2)
+    cost += 0.5 * sum((at[s] * of_others(s)).sum(axis=2) for s in strokes)
+    best = cost.argmin(axis=1)
+    return cost[S, best], v[S, best]
 
 
 def _velocity_starts(problem: FitProblem, grid: np.ndarray) -> list[np.ndarray]:
