@@ -137,7 +137,8 @@ def levels(hammer):
     return pf.levels(modes, pf.strike(modes, hammer, steps=1024).drive)[:8]
 with jax.enable_x64(True):
     hammer = jax.tree.map(float, p.hammer)
-    found = [*jax.jit(jax.jacfwd(levels))(hammer), *jax.grad(lambda h: levels(h)[0])(hammer)]
+    first = jax.jit(jax.grad(lambda h: levels(h)[0]))
+    found = [*jax.jit(jax.jacfwd(levels))(hammer), *first(hammer)]
 with jax.transfer_guard(guard):
     found.append(pf.Note(p.string, p.hammer, p.geometry, "bridge-force", 0.1).render(seconds=0.1))
     with x64_scope():

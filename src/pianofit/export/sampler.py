@@ -123,7 +123,7 @@ def export_sampler(
     --------
     >>> from pathlib import Path
     >>> import pianofit
-    >>> piano, options = pianofit.load_instrument("batch", prefix="cp80"), pianofit.ExportOptions(2, seconds=0.2)
+    >>> piano, options = pianofit.load_instrument("instrument.json"), pianofit.ExportOptions(2, seconds=0.2)
     >>> pianofit.export_sampler(piano, Path("sampler"), [60, 64], options).samples
     6
     """

@@ -124,7 +124,7 @@ def render_song(
     Examples
     --------
     >>> import pianofit
-    >>> sound = pianofit.render_song(pianofit.load_instrument("batch", prefix="cp80"), pianofit.load_song("melody.mid"))
+    >>> sound = pianofit.render_song(pianofit.load_instrument("instrument.json"), pianofit.load_song("melody.mid"))
     >>> len(sound.samples), sound.strikes
     (1, 4)
     """

@@ -74,7 +74,7 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
     Examples
     --------
     >>> import pianofit
-    >>> pianofit.write_playable_page("piano.html", pianofit.load_instrument("batch", prefix="cp80"))
+    >>> pianofit.write_playable_page("piano.html", pianofit.load_instrument("instrument.json"))
     PageSummary(knocks=None, layers=0)
     """
     payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)

@@ -78,7 +78,7 @@ def write_faust(
     Examples
     --------
     >>> import pianofit
-    >>> pianofit.write_faust("piano.dsp", pianofit.load_instrument("batch", prefix="cp80"), [60, 64]).unrecorded
+    >>> pianofit.write_faust("piano.dsp", pianofit.load_instrument("instrument.json"), [60, 64]).unrecorded
     0
     """
     if not keys:
