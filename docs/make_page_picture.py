@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from playwright.sync_api import sync_playwright
 
-import pianofit as pf
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "website"))
+from playable import playable_files  # noqa: E402
 
 PICTURE = Path(__file__).with_name("piano.png")
-RECORDED = ("C2", "C3", "C4", "F#4", "C5", "C6")
 CHORD = "ADGK"  # letters of the computer's keyboard: C4, E4, G4, C5
 WIDTH, HEIGHT = 1200, 700  # pixels
 
 
 def main() -> None:
-    """Fit synthetic recordings of some keys, build the instrument, and photograph its page with a chord held."""
+    """Photograph the page to play of the site with a chord held."""
     with TemporaryDirectory() as folder:
-        for number, name in enumerate(RECORDED):
-            it = pf.typical(name)
-            made = pf.synthetic_recording(
-                it.string, it.hammer, it.geometry, quantity="bridge-force", noise_db=60.0, seed=number, scale=20.0
-            )
-            pf.fit(made.recording, setup=made.setup, note=name).save(Path(folder, "fits", name), page=False)
-        piano = pf.build_instrument(pf.load_keys(pf.find_fits([Path(folder, "fits")])), "Six keys to 88")
-        page = Path(folder, "piano.html")
-        pf.write_playable_page(page, piano)
-        PICTURE.write_bytes(photograph(page))
+        for uri, content in playable_files(ROOT).items():
+            Path(folder, uri).write_bytes(content)
+            PICTURE.write_bytes(photograph(Path(folder, uri)))
 
 
 def photograph(page: Path) -> bytes:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import tempfile
 from pathlib import Path
 
 import jupytext
 import nbformat
+from digest import digest
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
@@ -29,18 +29,14 @@ def gallery_files(root: Path) -> dict[str, str | bytes]:
     Path below the site's folder, to its content: a page, its pictures, and the notebook with its outputs.
     """
     found: dict[str, str | bytes] = {}
-    package = _digest(*sorted((root / "src").rglob("*.py")))
+    package = digest(*sorted((root / "src").rglob("*.py")))
     for script in sorted((root / "docs" / "gallery").glob("*.py")):
-        kept = root / "build" / "gallery" / f"{script.stem}-{package}-{_digest(script)}.ipynb"
+        kept = root / "build" / "gallery" / f"{script.stem}-{package}-{digest(script)}.ipynb"
         if not kept.exists():
             kept.parent.mkdir(parents=True, exist_ok=True)
             nbformat.write(_run(script), kept)
         found |= _page(script.stem, nbformat.read(kept, as_version=4))
     return found
-
-
-def _digest(*files: Path) -> str:
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def _run(script: Path) -> nbformat.NotebookNode:

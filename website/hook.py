@@ -1,4 +1,4 @@
-"""The build of the site: pages made from other files, formulas, sounds, and a check of what was built.
+"""The build of the site: pages made from other files, formulas, sounds, a page to play, and a check of the built site.
 
 MkDocs calls these functions (`hooks` in mkdocs.yml). No page is written twice: sections of the README become pages, and
 the reference has one page for each group of names in `pianofit.__all__`.
@@ -17,6 +17,7 @@ from gallery import gallery_files
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from pages import reference_pages, repository_links, sections
+from playable import playable_files
 from sounds import sound_files
 
 ROOT = Path(__file__).parent.parent
@@ -49,7 +50,7 @@ def _completed(entries: list[Any], reference: list[Any]) -> list[Any]:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages and sounds that are made here, and the files of the repository that pages link to."""
+    """Add the pages and sounds that are made here, the page to play, and linked files of the repository."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     pages = {f"readme/{name}.md": text for name, text in sections(readme).items()}
     pages |= {uri: text for uri, (_, text) in reference_pages(ROOT).items()}
@@ -57,7 +58,7 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, uri, content=data))
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
-    for uri, data in sound_files().items():
+    for uri, data in [*sound_files().items(), *playable_files(ROOT).items()]:
         files.append(File.generated(config, uri, content=data))
     texts = [*pages.items(), *((file.src_uri, file.content_string) for file in files.documentation_pages())]
     for source in sorted({source for uri, text in texts for _, source, _ in repository_links(text, uri, ROOT)}):
