@@ -22,7 +22,7 @@ from ..dsp.level import level_energy
 from ..errors import ParameterError
 from ..x64 import AnyArray, float64
 from .contact import impulse_amplitude
-from .damped_sums import sum_damped_exponentials, z_transform
+from .differentiable_sums import sum_damped_exponentials, z_transform
 from .free_motion import FreeMotion
 from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
 from .program_cache import persistent_jit
