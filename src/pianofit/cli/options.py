@@ -119,7 +119,7 @@ SetupFile = Annotated[
 ]
 Sound = Annotated[Path, text("FILE.WAV", "WAV file to write.")]
 Json = Annotated[bool, flag("--json", "Print the result as JSON.")]
-# What a fit assumes if neither an option nor the setup states it.
+# The default in brackets holds if neither an option nor the setup states the value.
 Felt = Annotated[str | None, choice("LAW", "Felt law", tuple(LAWS), default=f"that of --setup, or {DEFAULT_LAW.name}")]
 Excitation = Annotated[
     str | None, choice("KIND", "Excitation of the string", NAMES, default=f"that of --setup, or {HAMMER}")

@@ -77,8 +77,8 @@ class _Command(TyperCommand):
         return [(metavar if kind == "argument" else record[0], record[1]) for metavar, record in records if record]
 
 
-def add(app: typer.Typer, command: Callable, example: str, heading: str) -> None:
-    """Add a command to `app`, under a heading of its help. The help of the command ends with an example."""
+def add(app: typer.Typer, command: Callable, example: str, heading: str | None = None) -> None:
+    """Add a command to `app`, under a heading if its help has some. The help of the command ends with an example."""
     first = (command.__doc__ or "").partition("\n")[0]
     name = command.__name__.replace("_", "-")
     epilog = f"\b\nExample:\n  {example}"
