@@ -23,7 +23,7 @@ PHYSICS = ("levels", "level_jacobians", "levels_per_string", "level_jacobians_pe
 
 
 def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
-    """Of one fit of the demo's twin, cut after `seconds`, in a process that is fresh."""
+    """Of one fit of the demo's synthetic recording, cut after `seconds`, in a process that is fresh."""
     import jax
 
     events: Counter = Counter()

@@ -1,20 +1,20 @@
-"""Do the 95 % intervals hold the truth? Twins with known parameters, fitted, and counted.
+"""Coverage of the 95 % intervals: synthetic recordings with known parameters, fitted and counted.
 
-    python benchmarks/coverage.py                              20 demo twins, and one without any noise
+    python benchmarks/coverage.py                              20 demo cases, and one without any noise
     python benchmarks/coverage.py --kind model --seeds 100    strings, hammers, paths and strokes drawn at random
     python benchmarks/coverage.py --kind brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
     python benchmarks/coverage.py --kind same-window --seeds 50   the same, with the contact's window of the program
 
-A study that was cut off goes on where it stopped with the same `--keep`.
+An interrupted study continues with the same `--keep`.
 
-How the last three are made is in `coverage_twins.py`. For every parameter: how many intervals hold the truth; the
-largest miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error and the
-median of its size; and how often it was said to be not identifiable or at a bound. Only parameters whose status is
-`fitted` count. `others' v_H0` are the velocities of the recordings beside the reference.
+`coverage_twins.py` makes the last three. For every parameter the table has the number of intervals that hold the true
+value; the largest miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error
+and the median of its size; and how often it was not identifiable or at a bound. Only parameters with the status
+`fitted` count. `others' v_H0` are the velocities of the recordings that are not the reference.
 
-A search can also end in another valley, and then no interval about its end holds the truth. So every twin is descended
-once more from the truth, on the same F: if the minimum there is lower by more than `DEEPER`, the search missed it, and
-the table is printed without such twins too.
+A search can also end in another minimum, and an interval around it need not hold the true value. So every case is also
+minimised from the true values, with the same F. If that minimum is lower by more than `DEEPER`, the search missed it.
+The table is then repeated without these cases.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from pianofit.inference import FitProblem, Minima
 
 KINDS = ("demo", "model", "brute-force", "same-window")
-# Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
+# Cases of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
 # replace their workers (`max_tasks_per_child`) hang in Python 3.11.
 JOBS = 10
 
 
 def judge(job: tuple[str, int, float]) -> dict:
-    """Make one twin, fit it and score it; a twin that is refused says why."""
+    """Make one case, fit it and score it; a case that is refused has the reason."""
     from pianofit.errors import PianofitError
     from pianofit.model.program_cache import enable_program_cache
 
@@ -80,7 +80,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
 
 def _drawn(kind: str, seed: int) -> dict:
-    """One twin of `coverage_twins`, with the problem and its minima."""
+    """One case of `coverage_twins`, with the problem and its minima."""
     import coverage_twins
 
     from pianofit.analysis import analyse
@@ -160,7 +160,7 @@ def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
 
 
 def fitted(jobs: list[tuple[str, int, float]], workers: int, file: Path | None) -> list[dict]:
-    """All twins, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
+    """All cases, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
     runs = fitted_before(file, jobs[0][0])
     left = [job for job in jobs if job[1] not in runs]
     for first in range(0, len(left), JOBS * workers):
@@ -187,12 +187,12 @@ def main() -> None:
     """Run what was asked for and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", choices=KINDS, default="demo")
-    parser.add_argument("--seeds", type=int, default=20, help="how many twins")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first twin")
-    parser.add_argument("--noise", type=float, default=60.0, help="of the demo twins, dB below the first second's rms")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one twin is one job")
-    parser.add_argument("--keep", type=Path, help="a file of twins already fitted, a line each; a study goes on there")
-    parser.add_argument("--page", type=Path, help="put what is printed into this page, under this kind of twins")
+    parser.add_argument("--seeds", type=int, default=20, help="number of cases")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first case")
+    parser.add_argument("--noise", type=float, default=60.0, help="of the demo cases, dB below the first second's rms")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one case is one job")
+    parser.add_argument("--keep", type=Path, help="a file of fitted cases, a line each; a study continues there")
+    parser.add_argument("--page", type=Path, help="put what is printed into this page, under this kind of cases")
     parser.add_argument("--json", type=Path, help="write all numbers here too")
     options = parser.parse_args()
     document: dict = {"twins": options.kind, "seeds": options.seeds, "first": options.first}
@@ -201,7 +201,7 @@ def main() -> None:
         print("The demo without noise:", *lines, "", sep="\n")
     jobs = [(options.kind, seed, options.noise) for seed in range(options.first, options.first + options.seeds)]
     lines, more = report(fitted(jobs, options.workers, options.keep))
-    lines = [f"{options.seeds} {options.kind} twins:", *lines]
+    lines = [f"{options.seeds} {options.kind} cases:", *lines]
     print(*lines, sep="\n")
     if options.page:
         into_page(options.page, options.kind, ["```text", *lines, "```"])

@@ -54,13 +54,13 @@ def row(name: str, value: float, interval, status: str, true: float | tuple[floa
 
 
 def report(runs: list[dict]) -> tuple[list[str], dict]:
-    """Tables of the twins that were fitted, and what became of the others."""
+    """Tables of the cases that were fitted, and the errors of the others."""
     found = [run for run in runs if "rows" in run]
     lines, data = table(found)
     document = {"table": data}
     missed = [run for run in found if (run["deeper"] or 0.0) > DEEPER]
     if missed:
-        lines.append(f"\nwithout {len(missed)} twins whose F is lower at the truth:")
+        lines.append(f"\nwithout {len(missed)} cases whose F is lower at the true values:")
         more, document["right_minimum"] = table([run for run in found if run not in missed])
         lines += more
     open_ended = sum(not run["converged"] for run in found)
@@ -127,7 +127,7 @@ def line(name: str, e: dict) -> str:
 
 
 def progress(run: dict) -> str:
-    """What is told while the twins are fitted."""
+    """The line that is printed when a case is fitted."""
     head = f"  {run['kind']} {run['seed']:3}: {run['seconds']:5.1f} s, "
     if "rows" not in run:
         return head + "refused: " + run["refused"]

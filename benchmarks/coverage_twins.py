@@ -1,26 +1,26 @@
-"""Twins for `coverage.py`: recordings of strings, hammers and paths that are drawn at random, and so are known.
+"""Cases for `coverage.py`: synthetic recordings of strings, hammers and paths that are drawn at random.
 
-A twin is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior that a fit has,
-about the literature's for the key (`published.typical`), its string with some scatter: intervals that are right then
-hold 95 % of the truths whatever the recordings say (Talts and others 2018). The kinds differ in what turns them into
-sound, and nothing else:
+A case is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior of a fit, centred
+at the literature value of the key (`literature.typical`). Its string is drawn with some scatter. Correct
+intervals then hold 95 % of the true values for any recordings (Talts and others 2018). The kinds differ only in the
+program that computes the sound:
 
-- `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
+- `model`: the program's own string and hammer, at a contact rate that no fit uses. These cases test the statistics.
 - `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
-  shares no line with the program. Half of these twins glide: all frequencies of the free string fall by some
-  cents with a time constant, as tension modulation makes them, more after a harder stroke. Half of them beat: the
-  stroke is shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and
-  the sound is their sum. So every fourth has both.
-- `same-window`: the same twins, whose witness has the program's window: what of their misses is the window's.
+  shares no line with the program. Half of these cases glide: all frequencies of the free string fall by some
+  cents with a time constant, as with tension modulation, more after a harder stroke. Half of them beat: the
+  stroke excites two axes, the second fainter and detuned by up to three cents. Each is simulated, and
+  the sound is their sum. Every fourth case has both.
+- `same-window`: the same cases with the program's window. The difference is the effect of the window.
 
-Every second twin is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
-through an unknown path: a minimum-phase filter whose level wanders smoothly, and more from one partial to the next, by
-what is drawn from the priors of both; and with another gain in every recording. White noise lies 40 to 70 dB below
+Every second case is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
+through an unknown path: a minimum-phase filter whose level varies smoothly, and more from one partial to the next. Both
+variations are drawn from their priors. Every recording has its own gain. White noise lies 40 to 70 dB below
 each recording's first second.
 
-The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
-hardest stroke, since no recording through a path tells it. Of every second twin with a path the strike's position is
-left out. So no value rests on an assumption, and each has a truth.
+The setup has the values that a laboratory would know: length, mass, strike position and, with a path, the velocity of
+the hardest stroke, since no recording through a path determines it. Every second case with a path lacks the strike
+position. So no value rests on an assumption, and each has a true value.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ RATE = 44_100  # Hz; the witness steps at 706 kHz and filters
 OVERSAMPLING = 32  # of the model's contact
 # Taps of a path. Levels may differ from one partial of A0 to the next, 27.5 Hz away, so it must last longer than 36 ms.
 TAPS = 16384
-# Pitch is that of 0.2 to 1.0 s, as an analysis says.
+# Pitch is that of 0.2 to 1.0 s, as in an analysis.
 HEARD = (0.2, 1.0)
 CONTACT = 0.01  # s, at most
 # ω dt to which the witness' Runge-Kutta scheme is stable, with room to spare.
@@ -69,7 +69,7 @@ STABLE, MOST_POINTS = 2.0, 240
 
 
 class Design(NamedTuple):
-    """Which cell of the study a twin is in. One after the other they fill all cells alike."""
+    """The cell of the study that a case is in. Consecutive cases fill all cells evenly."""
 
     key: int  # MIDI
     recordings: int
@@ -114,7 +114,7 @@ class Twin(NamedTuple):
 
 
 def design_of(kind: str, seed: int) -> Design:
-    """The cell of a twin: ten in a row hold every number of recordings, calibrated and not; fifty, every key."""
+    """The cell of a case: ten in a row hold every number of recordings, calibrated and not; fifty, every key."""
     block, column = divmod(seed // 2, MOST_RECORDINGS)
     effects = kind in WINDOWS
     # From block to block, and shifted along the recordings, lest five recordings glide only where they beat.
@@ -130,7 +130,7 @@ def design_of(kind: str, seed: int) -> Design:
 
 
 def draw(kind: str, seed: int) -> Truth:
-    """String, hammer, strokes and path of twin number `seed`."""
+    """String, hammer, strokes and path of case number `seed`."""
     random = np.random.default_rng([int(kind in WINDOWS), seed])
     design = design_of(kind, seed)
     usual = typical(design.key)

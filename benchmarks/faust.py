@@ -2,7 +2,7 @@
 
     python benchmarks/faust.py [INSTRUMENT.JSON] [--keys A0-C8] [--flags "-O3"]
 
-Without an instrument it is that of `rung_piano.py`, whose keys all ring by some hundred modes and a knock in stereo.
+Without an instrument it is that of `synthetic_piano.py`, whose keys all have some hundred modes and a knock in stereo.
 All voices are struck at once and play for four seconds in blocks of 512 samples at 48 kHz. Counted is the processor's
 time; the least of several runs is printed, of the first two blocks and of all others, with the time and memory that
 Faust takes to compile the program.
@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from rung_piano import piano
+from synthetic_piano import piano
 
 from pianofit.analysis.note_names import parse_keys
 from pianofit.export.faust import write_faust

@@ -10,7 +10,7 @@ are predicted: rms over partials, dB, one gain removed, as in `pianofit predict`
     recorded   the fitted layer itself in place of the predicted one
     alone      a fit with the literature's prior
     joint      a fit with the prior that such fits of all other keys give
-    complete   a fit with the prior that fits of all layers of all other keys give: as much as other keys can tell
+    complete   a fit with the prior that fits of all layers of all other keys give: as much as other keys can determine
     own        the hammer of a fit of all layers of the key itself, without velocity discrepancy, through the path of
                the fitted layer: the part that no prior of the hammer can remove
 """

@@ -32,7 +32,7 @@ import numpy as np
 from made import make_notes
 
 PROGRAM = (sys.executable, "-m", "pianofit")
-# Entries of a JSON file that tell of the run and not of the result: where it lay, when, how long.
+# Entries of a JSON file that describe the run and not the result: where it lay, when, how long.
 OF_THE_RUN = ("seconds", "when", "host", "started", "ended", "time", "pid")
 # In front of a command: root without its right to write anywhere.
 BOUND = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps", "-dac_override,-dac_read_search")
@@ -67,7 +67,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def settled(name: str, data: bytes) -> bytes:
-    """A file without what tells of the run; a JSON file that is not whole raises."""
+    """A file without the entries about the run; a JSON file that is not whole raises."""
     if not name.endswith(".json"):
         return data
 

@@ -49,7 +49,7 @@ def make_notes(
 
 
 def make_measurement(folder: Path) -> tuple[Path, Path]:
-    """Write the demo's twin, a calibrated measurement of the paper's string, and its setup."""
+    """Write the demo's synthetic recording, a calibrated measurement of the paper's string, and its setup."""
     from pianofit import encode_wav
     from pianofit.synthetic import demo_recording, setup_text
 

@@ -1,4 +1,4 @@
-"""What a second microphone on the same strokes says: of the string, and of strokes that were left out.
+"""The effect of a second microphone on the same strokes: on the string, and on predictions of left-out strokes.
 
     python benchmarks/microphones.py                      both tables
     python benchmarks/microphones.py --pairs              only the first, in about a minute
@@ -9,9 +9,9 @@ instrument, note and velocity layer are one stroke; what follows the layer in a 
 with such a stroke is taken.
 
 1. Each recording of such a stroke fitted alone. The string is the same, so its parameters should agree: `apart` is the
-   difference of their logarithms over the two 95 % reaches together, and beyond 1 they do not. Beside it, how far the
-   partials that both hear are apart, how far each table scatters about the string's laws, and what agrees when only
-   partials that both hear are looked at. Then the same for two strokes at one microphone.
+   difference of their logarithms over the two 95 % reaches together, and beyond 1 they do not. Three
+   more numbers follow: the difference of the partials that both have, the scatter of each table about the string's
+   laws, and the agreement when only partials that both have are used. Then the same for two strokes at one microphone.
 2. The key's microphone with most recordings alone, and with the others' recordings of the same strokes: each stroke
    left out in turn, errors of the first microphone's recordings. A stroke is scored where it lies between others.
 """
@@ -74,7 +74,7 @@ def alone(heard: Heard, note: str) -> tuple[Fit, Analysis]:
 
 
 def compared(pair: tuple[Heard, Heard], note: str) -> dict:
-    """The two fits of one stroke beside each other."""
+    """The two fits of one stroke, compared."""
     (one, first), (other, second) = (alone(heard, note) for heard in pair)
     rows = {}
     for name in STRING:
@@ -92,7 +92,7 @@ def compared(pair: tuple[Heard, Heard], note: str) -> dict:
 
 
 def _partials(first: Analysis, second: Analysis) -> dict:
-    """How far partials that both heard are apart: robust deviations, cents, and of the logarithm of the decays."""
+    """Differences of the partials that both recorded: robust deviations, cents, and of the logarithm of the decays."""
     a, b = first.partials, second.partials
     _, i, j = np.intersect1d(a.number, b.number, return_indices=True)
     cents = 1200 * np.log2(b.frequency[j] / a.frequency[i])
@@ -153,7 +153,7 @@ def print_pair(found: dict) -> None:
 
 
 def print_blows(heard: list[Heard], note: str) -> None:
-    """For comparison, different strokes at one microphone, of those that were heard at several."""
+    """For comparison, different strokes at one microphone, of those that several microphones recorded."""
     shared = sorted({h for pair in pairs_of(heard) for h in pair})
     for a, b in combinations(shared, 2):
         if a.mic == b.mic:

@@ -1,11 +1,11 @@
-"""How much of the time that it has the page's engine takes, under node: strings that ring, and the contacts of strokes.
+"""Processor time of the page's engine, under node: strings that ring, and the contacts of strokes.
 
     python benchmarks/page.py [--voices 32] [--modes 200]
-    python benchmarks/page.py --free            free strings: all 88 keys of `rung_piano.py`, pedal down
+    python benchmarks/page.py --free            free strings: all 88 keys of `synthetic_piano.py`, pedal down
     python benchmarks/page.py --open            a page of 88 keys, in chromium: size, time to the first sound, memory
 
-Played are keys of so many measured modes, keys that ring by their law, and those of `rung_piano.py`, all of whose keys
-ring by modes and a knock in stereo. The page that is opened is that piano's; the time to its first sound goes from the
+The keys have so many measured modes, or the modes of the string model, or are those of `synthetic_piano.py`, which all
+have modes and a knock in stereo. The page that is opened is that piano's; the time to its first sound goes from the
 navigation to the first sample that an analyser behind the engine shows, of a key that is struck as soon as there is
 one. Memory is that of the browser's process for the page once all tables are computed, less that of an empty page.
 
@@ -24,7 +24,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-import rung_piano
+import synthetic_piano
 
 from pianofit.literature import typical
 from pianofit.model.modal_response import ModalResponse
@@ -100,7 +100,7 @@ for (let run = 0; run < 2 * runs; run++) {
 const { drive } = free.data, { dropped } = free.data;
 console.log(JSON.stringify({ ...least, joined, answered, modes: drive.length, dropped }));
 """
-# In the page: seconds from the navigation until there are keys, and until a key that is then struck is heard.
+# In the page: seconds from the navigation until there are keys, and until a key that is then struck sounds.
 FIRST_SOUND = """async () => {
   while (!window.pianofitKeyboard) await new Promise((go) => setTimeout(go, 2));
   const ready = performance.now(), keys = window.pianofitKeyboard, heard = new Float32Array(2048);
@@ -118,7 +118,7 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=n
 RATE = 48_000
 
 
-def rung(midi: int, modes: int) -> Note:
+def measured_note(midi: int, modes: int) -> Note:
     """A key with so many modes, which all ring for long, and a knock of 0.4 s."""
     random, it = np.random.default_rng(midi), typical(midi)
     pole = -random.uniform(0.2, 0.5, modes) + 2j * np.pi * np.sort(random.uniform(60, 9000, modes))
@@ -136,19 +136,22 @@ def by_law(midi: int, _: int) -> Note:
 
 def by_fit(midi: int, _: int) -> Note:
     """A key as a fit of five stereo layers leaves it."""
-    return rung_piano.rung(midi)
+    return synthetic_piano.measured_note(midi)
 
 
 def free_strings(runs: int, most: int) -> None:
     """Measure what the free strings cost, and print."""
-    keys = [{"midi": midi, **encode_note(rung_piano.rung(midi), midi, KNOCK_ENCODINGS[-2])} for midi in range(21, 109)]
+    keys = [
+        {"midi": midi, **encode_note(synthetic_piano.measured_note(midi), midi, KNOCK_ENCODINGS[-2])}
+        for midi in range(21, 109)
+    ]
     given = {"keys": keys, "runs": runs, "bridge": builtins_of(BridgeAdmittance()), **({"most": most} if most else {})}
     command = ["node", "--input-type=module", "-e", FREE_PROGRAM, str(Path(str(files("pianofit.web"))))]
     done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, check=True)
     part = json.loads(done.stdout)
     print(
         f"{part['modes']} free modes ({part['dropped']} dropped), four keys struck under the pedal: "
-        f"{100 * (part['free'] - part['alone']):.0f} % of the time, beside {100 * part['alone']:.0f} % for the keys; "
+        f"{100 * (part['free'] - part['alone']):.0f} % of the time, and {100 * part['alone']:.0f} % for the keys; "
         f"a stroke {part['stroke']:.2f} ms; "
         f"before playing {part['joined']:.0f} ms, and {part['answered'] / len(keys):.1f} ms a key"
     )
@@ -160,7 +163,7 @@ def opened(runs: int) -> None:
 
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         path = Path(folder) / "piano.html"
-        piano = rung_piano.piano(range(21, 109))
+        piano = synthetic_piano.piano(range(21, 109))
         done = write_playable_page(path, piano)
         times, sizes = [], []
         for _ in range(runs):
@@ -220,7 +223,7 @@ def main() -> None:
     if node is None:
         raise SystemExit("node is not installed (Debian: apt-get install nodejs)")
     scripts = str(Path(str(files("pianofit.web"))))
-    for name, kind in (("measured modes", rung), ("the string's own", by_law), ("as fitted", by_fit)):
+    for name, kind in (("measured modes", measured_note), ("the string's own", by_law), ("as fitted", by_fit)):
         keys = [encode_note(kind(midi, asked.modes), midi) for midi in range(30, 30 + asked.voices)]
         given = json.dumps({"keys": keys, "runs": asked.runs, "seconds": 1.0})
         command = [node, "--input-type=module", "-e", PROGRAM, scripts]

@@ -1,4 +1,4 @@
-"""Pianofit beside two published neural nets on the same strokes, and beside other programs in speed.
+"""Pianofit and two published neural nets on the same strokes, and the speed of other programs.
 
     python benchmarks/peers.py                          both tables
     python benchmarks/peers.py --notes C2 --json peers.json
@@ -76,7 +76,7 @@ def folder() -> Path:
 
 
 def strokes(key: str) -> Iterator[tuple[str, Target, list[Made]]]:
-    """Both strokes of a key that the nets predict, and all that is heard in their place."""
+    """Both strokes of a key that the nets predict, and all sounds that are compared with them."""
     from pianofit import analyse, load_recording
 
     at = folder()

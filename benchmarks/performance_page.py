@@ -18,7 +18,7 @@ TOO_SLOW = 4.0
 
 
 def write(document: dict[str, Any], path: Path) -> None:
-    """The part of the page between its marks, and beside it the picture of how costs grow."""
+    """The part of the page between its marks, and the picture of how costs grow next to the page."""
     picture = path.with_name(f"{path.stem}-growth.svg")
     into_page(path, MARK, text(document, picture.name).splitlines())
     draw(document["growth"], picture)

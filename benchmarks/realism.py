@@ -1,18 +1,18 @@
-"""How far a synthesised layer that took no part in anything is from its recording.
+"""Distance of the synthesis of a left-out layer from its recording.
 
     python benchmarks/realism.py                       all notes of the recordings
     python benchmarks/realism.py --notes C4,A0 --json realism.json
-    python benchmarks/realism.py --notes A6 --velocity 2        played at 2 m/s, whatever the prediction's velocity
+    python benchmarks/realism.py --notes A6 --velocity 2        played at 2 m/s, not at the predicted velocity
     python benchmarks/realism.py --notes A6 --layer 1           the softest layer left out, in place of the middle one
-    python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
+    python benchmarks/realism.py --constants           each constant of the modal response halved and doubled
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
 the others, its velocity and gain from `Result.predict`. The distance is that of `../shared/tools/realism.py`
 (or of the file that PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to
-gain and shift. Beside it stands the nearer of the two neighbouring recordings. A recording holds noise, which no model
-plays; so the last rung adds noise to the synthesis, with the spectrum that the other layers show between their partials
-at their ends, to tell how much of a distance is noise. Recordings are found as `crossval.py` finds them. Constants are
-judged on every second note and checked on the others.
+gain and shift. The next column has the nearer of the two neighbouring recordings. A recording has noise, which no model
+plays. The last column adds noise to the synthesis, with the spectrum of the other layers between their partials at
+their ends. It shows how much of a distance is noise. Recordings are found as in `crossval.py`. Constants are judged on
+every second note and checked on the others.
 
 A second table, dB, once both are aligned in time and loudness by the same tool:
 
@@ -24,7 +24,7 @@ A second table, dB, once both are aligned in time and loudness by the same tool:
 - gain: K-weighted level of the synthesis over the recording's before they were aligned. The prediction knows the
   recording's levels of partials, and takes its gain from them.
 - low: energy from 10 ms before the onset to 30 ms after it below 0.7 of the lowest partial's frequency, synthesis over
-  recording; for notes whose periods are short beside that, from C5 up.
+  recording; for notes whose periods are much shorter, from C5 up.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ FRAME, ABOVE = 0.02, 10.0
 LOUDNESS = 0.05
 # Noise: the end of a recording that shows it, s, the window of its spectrum, s, and over how much it is smoothed, Hz.
 END, WINDOW, SMOOTH = 1.5, 0.37, 200.0
-# Notes from here on, Hz, whose lowest partial has 15 periods in 30 ms, say how loud it is below.
+# The energy below the lowest partial is computed for notes from here on, Hz: 15 periods in 30 ms.
 TREBLE = 500.0
 CONSTANTS = {
     "aligned_layers": ("KERNEL", "LEAST_COHERENCE", "LARGEST_DETUNING", "PITCH_PARTIALS", "LEAST_PITCH_COHERENCE"),
@@ -99,14 +99,14 @@ class Fitted(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """A layer that was left out, and what the others say of it."""
+    """A layer that was left out, and its prediction from the others."""
 
-    note: Callable[[], Note]  # as the others ring, at the stroke that was left out
+    note: Callable[[], Note]  # with the modal response of the others, at the left-out stroke
     stroke: Simulation
     rate: int  # Hz
-    noise: np.ndarray  # as the others hold it [samples]
+    noise: np.ndarray  # as in the others [samples]
     target: np.ndarray  # the recording at the tool's rate [samples]
-    partials: np.ndarray  # Hz, those that it shows
+    partials: np.ndarray  # Hz, those detected in it
     f0: float  # Hz
     near: dict  # distances of the nearer neighbour
 
@@ -122,7 +122,7 @@ def measure() -> ModuleType:
 
 
 def brightness(analysis) -> float:
-    """Mean frequency of the partials, weighed by amplitude, Hz: it rises with the stroke, whatever a file's gain."""
+    """Mean frequency of the partials, weighted by amplitude, Hz. It rises with velocity, whatever the gain."""
     amplitude = 10 ** (analysis.partials.level / 20)
     return float((amplitude * analysis.partials.frequency).sum() / amplitude.sum())
 
@@ -140,7 +140,7 @@ def fitted(note: str, files: list[Path], setup: Setup, layer: int | None = None)
 
 
 def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
-    """What the others say of the layer that was left out; played at `velocity`, m/s, or at the prediction's."""
+    """Return the prediction of the left-out layer from the others, at `velocity`, m/s, or at the prediction's."""
     from pianofit.modal_response import modal_response_of
 
     recordings, analyses, out, result = fit
@@ -154,8 +154,8 @@ def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> Le
         noise(others, analysis.f0, recording.rate), tool.load(recording.path),
         partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
-    beside = [recordings[i] for i in (out - 1, out + 1) if 0 <= i < len(recordings)]
-    near = [distances(tool.load(other.path), left, tool) for other in beside]
+    neighbours = [recordings[i] for i in (out - 1, out + 1) if 0 <= i < len(recordings)]
+    near = [distances(tool.load(other.path), left, tool) for other in neighbours]
     return left._replace(near=min(near, key=lambda x: x["distance"]))
 
 
@@ -175,11 +175,11 @@ def noise(recordings: list[Recording], f0: float, rate: int) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(white) * shape * np.sqrt(rate / 2), len(white))
 
 
-def sound(note: Note, left: LeftOut, tool: ModuleType, beside: float = 0.0) -> np.ndarray:
+def sound(note: Note, left: LeftOut, tool: ModuleType, noise_share: float = 0.0) -> np.ndarray:
     """The stroke that was left out by this note at the tool's rate, with so much of the noise [samples]."""
     by = np.gcd(tool.RATE, left.rate)
     samples = note.render_mono(left.stroke, left.rate, round(SECONDS * left.rate), round(0.012 * left.rate))
-    return signal.resample_poly(samples + beside * left.noise, tool.RATE // by, left.rate // by)
+    return signal.resample_poly(samples + noise_share * left.noise, tool.RATE // by, left.rate // by)
 
 
 def distances(samples: np.ndarray, left: LeftOut, tool: ModuleType) -> dict[str, Any]:
@@ -232,8 +232,8 @@ def low(recorded: np.ndarray, played: np.ndarray, f0: float, tool: ModuleType) -
     return float(10 * np.log10(other / own))
 
 
-def rungs(left: LeftOut, tool: ModuleType) -> dict:
-    """Distances of the layer that was left out, by what it is made of."""
+def by_model(left: LeftOut, tool: ModuleType) -> dict:
+    """Distances of the left-out layer for each model."""
     note = left.note()
     knockless = note._replace(modal_response=note.modal_response and note.modal_response.without_knock())
     return {
@@ -241,7 +241,7 @@ def rungs(left: LeftOut, tool: ModuleType) -> dict:
         "modes": distances(sound(knockless, left, tool), left, tool),
         "modes and knock": distances(sound(note, left, tool), left, tool),
         "nearest layer": left.near,
-        "and noise": distances(sound(note, left, tool, beside=1.0), left, tool),
+        "and noise": distances(sound(note, left, tool, noise_share=1.0), left, tool),
         "modes_count": 0 if note.modal_response is None else len(note.modal_response.pole),
     }
 
@@ -257,8 +257,8 @@ def constants(left: dict[str, LeftOut], tool: ModuleType) -> dict:
     print(f"judged on {', '.join(judged)}\nchecked on {', '.join(checked)}")
     found = {"as they are": halves()}
     print("as they are: {:.3f} {:.3f} dB".format(*found["as they are"]), flush=True)
-    for room, names in CONSTANTS.items():
-        module = importlib.import_module(f"pianofit.modal_response.{room}")
+    for part, names in CONSTANTS.items():
+        module = importlib.import_module(f"pianofit.modal_response.{part}")
         for name in names:
             own = getattr(module, name)
             for factor in (0.5, 2.0):
@@ -278,8 +278,8 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
-    parser.add_argument("--constants", action="store_true", help="what each constant of the ringing does")
-    parser.add_argument("--velocity", type=float, help="m/s; by default what the prediction finds")
+    parser.add_argument("--constants", action="store_true", help="halve and double each constant of the modal response")
+    parser.add_argument("--velocity", type=float, help="m/s; by default the predicted one")
     parser.add_argument("--layer", type=int, help="which is left out, from 1, the softest; by default the middle one")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -310,15 +310,15 @@ def main() -> None:
 def table(jobs: dict[str, Callable[[], LeftOut]], tool: ModuleType) -> dict:
     """A row a note, and the means."""
     found = {}
-    print(f"{'':20}" + "".join(f"{rung:>18}" for rung in RENDER_MODELS) + "   dB, attack in brackets", flush=True)
+    print(f"{'':20}" + "".join(f"{model:>18}" for model in RENDER_MODELS) + "   dB, attack in brackets", flush=True)
     for name, job in jobs.items():
-        found[name] = rungs(job(), tool)
+        found[name] = by_model(job(), tool)
         cells = [f"{found[name][r]['distance']:.2f} ({found[name][r]['attack']:.2f})" for r in RENDER_MODELS]
         print(f"{name:20}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
     for how, of in (("mean", statistics.mean), ("median", statistics.median), ("worst", max)):
         print(f"{how:20}" + "".join(f"{of(x[r]['distance'] for x in found.values()):>18.2f}" for r in RENDER_MODELS))
     shown = ("string model", "modes and knock", "nearest layer")
-    print("\n" + " " * 20 + "".join(f"{rung:>34}" for rung in shown))
+    print("\n" + " " * 20 + "".join(f"{model:>34}" for model in shown))
     print(" " * 20 + f"{'envelope':>14}{'loudness':>9}{'gain':>6}{'low':>5}" * len(shown) + "   dB")
     for name, row in found.items():
         cells = [_seconds(row[r]) for r in shown]
@@ -330,7 +330,7 @@ def table(jobs: dict[str, Callable[[], LeftOut]], tool: ModuleType) -> dict:
 
 
 def _seconds(x: dict) -> str:
-    """A rung's cells of the second table."""
+    """Cells of one model in the second table."""
     below = "" if x["low"] is None else f"{x['low']:+.1f}"
     return f"{x['envelope']:8.2f} ({x['shape']:.1f}){x['loudness']:8.1f}{x['gain']:+7.1f}{below:>6}"
 

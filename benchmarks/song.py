@@ -1,10 +1,10 @@
 """A piece on an instrument: how fast `pianofit play` computes it, and how near the page's engine comes to it.
 
     python benchmarks/song.py [INSTRUMENT.JSON]                two minutes, ten notes a second
-    python benchmarks/song.py [INSTRUMENT.JSON] --page         and the page's engine, under node, beside them
+    python benchmarks/song.py [INSTRUMENT.JSON] --page         and the page's engine, under node
     python benchmarks/song.py --page --controllers             with all three pedals in continuous motion
 
-Without an instrument it is that of `rung_piano.py`, whose 88 keys ring by some hundred modes and a knock in stereo.
+Without an instrument it is that of `synthetic_piano.py`, whose 88 keys have some hundred modes and a knock in stereo.
 The piece is drawn by --seed: notes over seven octaves at all velocities, held for 0.1 to 2 s, with a pedal that is
 raised half of the time, so that strings are struck again while they sound. Its events lie on the blocks of 128 samples
 at whose begins the page's take effect. Printed are the song's length over the processor's time, and with --page the
@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rung_piano import piano
+from synthetic_piano import piano
 
 from pianofit.analysis.note_names import parse_keys
 from pianofit.instrument import Instrument, load_instrument
@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--notes", type=float, default=10.0, help="a second")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--page", action="store_true", help="beside the page's engine")
+    parser.add_argument("--page", action="store_true", help="compare with the page's engine")
     parser.add_argument("--controllers", action="store_true", help="all pedals move continuously")
     parser.add_argument("--most", type=int, default=0, help="free modes of the page, if not its own number")
     asked = parser.parse_args()

@@ -4,7 +4,7 @@
     python benchmarks/string_study.py --beats        with a second polarisation
     python benchmarks/string_study.py --range 40     with an early line over another range of the envelope, dB
 
-The recordings are those of the brute-force twins of `coverage_twins.py` with at most `MOST` of them. The string is
+The recordings are those of the brute-force cases of `coverage_twins.py` with at most `MOST` of them. The string is
 fitted as a fit does before any hammer is known. Its standard deviations integrate over hyperparameters and weights.
 """
 
@@ -27,7 +27,7 @@ LOSSES = ("b1", "b2")
 
 
 def errors(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of log b1 and log b2 of a twin, and their standard deviations."""
+    """Errors of log b1 and log b2 of a case, and their standard deviations."""
     twin = coverage_twins.make("brute-force", seed)
     analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
     problem = build_problem(twin.recordings, analyses, twin.setup)
@@ -44,10 +44,10 @@ def errors(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    """Print a line for each twin, and the summary of both parameters."""
+    """Print a line for each case, and the summary of both parameters."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--beats", action="store_true")
-    parser.add_argument("--seeds", type=int, default=100, help="twins 0 to this")
+    parser.add_argument("--seeds", type=int, default=100, help="cases 0 to this")
     parser.add_argument("--range", type=float, default=envelope_slopes.EARLY_RANGE, help="dB")
     options = parser.parse_args()
     envelope_slopes.EARLY_RANGE = options.range

@@ -177,7 +177,7 @@ def main() -> None:
     """Measure, print, and write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write all numbers here")
-    parser.add_argument("--docs", type=Path, help="fill in this page of documentation, and write its picture beside it")
+    parser.add_argument("--docs", type=Path, help="fill in this page of documentation and write its picture there")
     parser.add_argument("--from", dest="source", type=Path, help="measure nothing: take the numbers of an earlier run")
     parser.add_argument("--quick", action="store_true", help="as little as possible of everything")
     arguments = parser.parse_args()

@@ -232,7 +232,7 @@ def candidates() -> Works:
 
 
 def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
-    """A struck C2, heard at the bridge through a path, from parameters to samples."""
+    """A struck C2, recorded at the bridge through a path, from parameters to samples."""
     import pianofit
     from pianofit.model.output_path import OutputPath
 

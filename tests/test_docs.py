@@ -177,24 +177,65 @@ def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):
 
 
 CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re.DOTALL)
+TABLES = [page for page in PAGES if CONSTANTS.search(page.read_text(encoding="utf-8"))]
 
 
-def test_every_constant_of_the_table_is_in_the_code():
-    """By name: a constant that goes takes its row with it, and every row can be measured."""
-    room = ROOT / "src" / "pianofit"
-    files = [file for part in ("inference", "analysis", "felt", "excitation") for file in (room / part).glob("*.py")]
-    source = "".join(file.read_text(encoding="utf-8") for file in files)
-    (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
-    names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
-    assert len(set(names)) > 20
-    assert [name for name in names if not re.search(rf"^[A-Z_, ]*\b{name}\b[A-Z_, ]* = ", source, re.MULTILINE)] == []
+def constants_of(page: Path) -> dict[str, list[str]]:
+    """Return the cells of each row of the page's table of constants, by its first cell."""
+    (table,) = CONSTANTS.findall(page.read_text(encoding="utf-8"))
+    lines = re.findall(r"^\| (`.*) \|$", table, re.MULTILINE)
+    return {cells[0]: cells for cells in (line.split(" | ") for line in lines)}
+
+
+def varied(page: Path) -> dict[str, tuple[Any, str]]:
+    """Return module and attribute of each constant that the study of the page varies, by the first cell of its row."""
     sys.path.insert(0, str(ROOT / "benchmarks"))
     try:
-        from constants import constants
+        if page.stem == "fitting":
+            return {
+                cell: (module, name)
+                for cell, (module, name, _) in importlib.import_module("constants").constants().items()
+            }
+        modules = importlib.import_module("realism").CONSTANTS.items()
     finally:
         sys.path.pop(0)
-    assert re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) == list(constants())
-    for module, attribute, scaled in constants().values():
+    found = [(importlib.import_module(f"pianofit.modal_response.{module}"), names) for module, names in modules]
+    return {f"`{name}`": (module, name) for module, names in found for name in names}
+
+
+def defined() -> set[str]:
+    """Return all constants that a module of the package defines."""
+    found = set()
+    for file in (ROOT / "src" / "pianofit").rglob("*.py"):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            found |= {
+                name.id for target in targets if target for name in ast.walk(target) if isinstance(name, ast.Name)
+            }
+    return found
+
+
+@by_page(TABLES)
+def test_a_table_of_constants_has_the_constants_of_its_study_with_their_values(page):
+    """A constant that goes takes its row with it, a new one of the study needs a row, and a changed value shows."""
+    rows_, known, study = constants_of(page), defined(), varied(page)
+    assert len(rows_) > 20
+    assert [name for row in rows_ for name in re.findall(r"`([A-Z_]+)`", row) if name not in known] == []
+    assert list(rows_) == list(study)
+    for row, (module, name) in study.items():
+        value = getattr(module, name)
+        if isinstance(value, int | float):
+            shown = next(cell for cell in rows_[row][1:] if re.match(r"-?[\d.]", cell))
+            assert float(shown) == pytest.approx(value, rel=1e-3), name
+
+
+def test_the_study_of_a_fit_changes_every_constant():
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        constants = importlib.import_module("constants").constants()
+    finally:
+        sys.path.pop(0)
+    for module, attribute, scaled in constants.values():
         value = getattr(module, attribute)
         assert repr(scaled(value, 2.0)) != repr(value)
 

@@ -65,7 +65,7 @@ plt.show()
 
 # %% [markdown]
 # The true piano is that of the literature, which is also the prior of the laws. Keys that were not recorded are
-# therefore right here. For real pianos see [the accuracy of instruments](../instrument.md#accuracy).
+# therefore right here. For real pianos see [the accuracy of instruments](../instrument-accuracy.md).
 #
 # A chord of keys that were never recorded, with the pedal:
 

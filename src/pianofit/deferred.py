@@ -1,6 +1,6 @@
-"""Calls of a higher room by methods of public types, such as `Note.play` and `Result.report`.
+"""Calls of a higher package by methods of public types, such as `Note.play` and `Result.report`.
 
-Rooms import in one direction: a page imports the result that it shows. A method of the result that writes the page
+Packages import in one direction: a page imports the result that it shows. A method of the result that writes the page
 would be an import in the other direction. It calls by name here, and the table names all such calls.
 """
 

@@ -23,7 +23,7 @@ FIELDS = {
     **dict.fromkeys(("instrument", "take", "layer", "group", "mic", "role"), r"[^/]+?"),
     "*": r"[^/]*?",
 }
-# Words in a file name that tell the role of the recording.
+# Words in a file name that give the role of the recording.
 ROLE_WORDS = {
     "release": re.compile(r"(?i)(?<![a-z])(?:(?:key|note)?[-_. ]?releases?|rel|(?:key|note)[-_. ]?off)(?![a-z])"),
     "damped": re.compile(r"(?i)(?<![a-z])damped(?![a-z])"),
@@ -80,7 +80,7 @@ def expression_of(pattern: str) -> re.Pattern[str]:
 
 
 def role_in(name: str) -> str:
-    """The role that a word in a file name tells; empty for a note."""
+    """Return the role that a word in a file name gives; empty for a note."""
     return next((role for role, words in ROLE_WORDS.items() if words.search(name)), "")
 
 

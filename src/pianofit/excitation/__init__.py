@@ -1,7 +1,7 @@
 """Excitations: what sets a string in motion, one file each.
 
 `protocol` lists everything that a fit asks of an excitation. The hammer answers by its felt law (`pianofit.felt`) and
-by `hammer`, the pluck by `pluck`. A new excitation is a file in this room and an entry in `OTHERS`.
+by `hammer`, the pluck by `pluck`. A new excitation is a file in this package and an entry in `OTHERS`.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ LAW_QUANTITIES = {
 }
 
 # Velocity of the strokes whose level has a law, m/s: a fortissimo. An instrument sets the loudest recording of every
-# uncalibrated key to it, before the keyboard tells more.
+# uncalibrated key to it, before the keyboard determines it.
 LOUDEST_VELOCITY = 4.0
 # Compression at which the laws state force and exponent, over the reference compression of the key. A stroke at 4 m/s
 # reaches 2 to 5 times that. With a skin, force and exponent at the reference compression itself depend on the skin.

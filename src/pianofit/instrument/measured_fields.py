@@ -33,7 +33,7 @@ CELL = 1 / 6
 LARGEST_SIDE = 4.0
 # Times at which decay curves are compared, in units of the inverse decay rate of the laws.
 TIMES = np.concatenate([[0.0], np.geomspace(5e-4, 60, 56)])
-# Part of these times that tells the early decay.
+# Part of these times from which the early decay follows.
 EARLY = (TIMES > 0) & (TIMES <= 1.0)
 # Smallest early decay over that of the laws.
 LEAST_RATIO = 0.02

@@ -22,7 +22,7 @@ from ..model.note import Note
 from .coupled_modes import CoupledModes, bridge_drive
 from .repeated_strike import string_tables
 
-# Highest frequency of a free mode, Hz: higher ones decay fast and take little from the bridge. See docs/instrument.md.
+# Highest frequency of a free mode, Hz: higher ones decay fast and take little from the bridge. See docs/pedals.md.
 HIGHEST = 4500.0
 # Smallest strike weight Φ of a partial. Near a node of the stroke the measured level of a partial is error.
 LEAST_STRIKE = 0.1

@@ -3,7 +3,7 @@
 A damper is up while its key is down, or while the middle pedal holds it. Otherwise it follows the right pedal. Its
 contact is 1 when it rests fully on the strings and 0 when it does not touch them. In between, the part of the pedal's
 travel given by `PedalRange`, the contact is the square of the way that the damper still has to fall: the felt is soft,
-so that the force on the strings rises faster than its compression. The square is chosen.
+so that the force on the strings rises faster than its compression. The exponent 2 is a design choice without data.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from .midi import SWITCH, Song
 
-# Exponent of the contact over the way of the damper. Chosen, see above.
+# Exponent of the contact over the way of the damper. A design choice, see above.
 FELT_EXPONENT = 2
 
 

@@ -1,4 +1,4 @@
-"""Decoding of JSON and TOML into the frozen dataclasses of this room, and encoding of them.
+"""Decoding of JSON and TOML into the frozen dataclasses of this package, and encoding of them.
 
 msgspec checks types, required fields and limits (`Annotated[float, Meta(ge=...)]`). This module adds what it does not
 do: NumPy arrays, types that are written in another form (`from_builtins` and `to_builtins`), and messages that name the

@@ -1,6 +1,6 @@
 """Content of an `instrument.json`: frozen records whose fields are the keys of the file.
 
-The room `instrument` uses the same records in memory. Only notes have another form there.
+The package `instrument` uses the same records in memory. Only notes have another form there.
 """
 
 from __future__ import annotations

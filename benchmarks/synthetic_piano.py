@@ -1,10 +1,10 @@
-"""A piano for benchmarks whose keys all ring as keys of five stereo layers do, without a recording.
+"""A synthetic piano for benchmarks. All keys have the modes and knocks of keys with five stereo layers.
 
 Numbers of partials and modes are those that fits of a grand find: 85 partials with 248 modes at A0, 31 with 106 at C4.
-Levels, decays, knocks and how modes take part in strokes are drawn at random about what such fits show. It says what an
-instrument costs, not how one sounds.
+Levels, decays, knocks and how modes take part in strokes are drawn at random about what such fits show. It shows
+what an instrument costs, not how one sounds.
 
-    python benchmarks/rung_piano.py OUT.JSON [--keys A0-C8]        written as an instrument.json
+    python benchmarks/synthetic_piano.py OUT.JSON [--keys A0-C8]        written as an instrument.json
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WANDER = 0.1
 KNOCK_SECONDS = 0.4
 # Its decay, 1/s.
 KNOCK_DECAY = 15.0
-# Its standard deviation at the contact, file units over N s, beside modes of 1 for the first partial.
+# Its standard deviation at the contact, file units over N s, relative to modes of 1 for the first partial.
 KNOCK_LEVEL = 0.05
 # Where a first-order lowpass begins to take its treble, Hz.
 KNOCK_CORNER = 400.0
@@ -47,7 +47,7 @@ AT_64 = 1.3
 RISE = 1.5
 
 
-def rung(midi: int) -> Note:
+def measured_note(midi: int) -> Note:
     """One key."""
     random, it = np.random.default_rng(midi), typical(midi)
     note = Note(it.string, it.hammer, it.geometry, "bridge-force", 1.0)
@@ -75,7 +75,9 @@ def _knock(random: np.random.Generator) -> np.ndarray:
 
 def piano(keys: Iterable[int]) -> Instrument:
     """An instrument of these keys, all recorded."""
-    return Instrument("made", {midi: Key(rung(midi), fit=FitSummary()) for midi in keys}, VelocityCurve(AT_64, RISE))
+    return Instrument(
+        "made", {midi: Key(measured_note(midi), fit=FitSummary()) for midi in keys}, VelocityCurve(AT_64, RISE)
+    )
 
 
 def main() -> None:
