@@ -51,12 +51,12 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     from pianofit.inference import (
         batched_model,
         curvature,
-        estimate,
         multistart,
         objective,
         observation_tables,
         optimiser,
         priors,
+        run_inference,
     )
 
     def plain(value: Any, factor: float) -> Any:
@@ -135,8 +135,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`CONVERGED`": (optimiser, "CONVERGED", plain),
         "`HYPER_REACH`": (objective, "HYPER_REACH", plain),
         "`NEGATIVE`": (curvature, "NEGATIVE", plain),
-        "`WITHIN`": (estimate, "WITHIN", plain),
-        "`LEFT`": (estimate, "LEFT", plain),
+        "`MAX_LOG_MASS_GAP`": (run_inference, "MAX_LOG_MASS_GAP", plain),
+        "`MAX_OFFSET_CHANGE`": (run_inference, "MAX_OFFSET_CHANGE", plain),
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
         "`LEVEL_FRAMES_SECONDS`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),

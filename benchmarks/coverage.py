@@ -127,8 +127,8 @@ def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocitie
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
     from pianofit.errors import FitError
-    from pianofit.inference.estimate import refine
     from pianofit.inference.objective import Objective
+    from pianofit.inference.run_inference import refine
 
     best = minima.candidates.take(np.array([0]))
     z = point_of(problem, best.theta[0], true, velocities)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from synthetic_piano import piano
 
-from pianofit.export import parse_keys
+from pianofit.analysis.note_names import parse_keys
 from pianofit.export.faust import write_faust
 from pianofit.instrument import load_instrument
 

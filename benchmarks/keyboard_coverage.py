@@ -66,7 +66,7 @@ def draw_instrument(random: np.random.Generator, priors: Sequence[Prior]) -> Tru
 def fitted(mean: np.ndarray, covariance: np.ndarray, keep_prior: bool) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance that a fit hands over, from those of its recordings alone."""
     from pianofit.felt import DEFAULT_LAW
-    from pianofit.felt.hunt_crossley import HAMMER_SD
+    from pianofit.felt.published import HAMMER_SD
     from pianofit.instrument.fit_prior import FitPrior, remove_prior
     from pianofit.instrument.key_quantities import LAW_QUANTITIES
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def follows(note: str, files: list[Path], setup: Setup) -> np.ndarray:
     """Velocity, m/s, knock over the gain and force, dB, of every layer with a knock, by velocity [layers, 3]."""
     from pianofit import analyse, fit, load_recording
-    from pianofit.analysis.knock import measure_knock
+    from pianofit.analysis.measure_knock import measure_knock
 
     recordings = [load_recording(file) for file in files]
     analyses = [replace(analyse(recording, note=note), knock=np.nan) for recording in recordings]
@@ -45,12 +45,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     wanted = [name for name in parser.parse_args().notes.split(",") if name]
-    from pianofit.dsp import knock
+    from pianofit.dsp import knock_band
     from pianofit.model.program_cache import enable_program_cache
     from pianofit.threads import one_blas_thread
 
     enable_program_cache()
-    knock.FEWEST_PERIODS = 0.0
+    knock_band.FEWEST_PERIODS = 0.0
     squares, count = 0.0, 0
     jobs = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
     for name, job in jobs.items():

@@ -45,7 +45,7 @@ def make_library(folder: Path, keys: int, layers: int) -> dict[str, list[Path]]:
 
 def run_batch(sounds: Path, out: Path, cache: Path, workers: int) -> dict[str, Any]:
     """Fit all keys: wall and CPU seconds of the command with its workers, and the records of all keys."""
-    arguments = ["batch", str(sounds), "--out", str(out), "--pattern", PATTERN, "--workers", str(workers), "--json"]
+    arguments = ["batch", str(sounds), "--out", str(out), "--pattern", PATTERN, "--processes", str(workers), "--json"]
     environment = os.environ | {"PIANOFIT_CACHE": str(cache)}
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     done = subprocess.run([sys.executable, "-c", COMMAND, *arguments], env=environment, capture_output=True, text=True)

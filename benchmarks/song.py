@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from synthetic_piano import piano
 
-from pianofit.export import parse_keys
+from pianofit.analysis.note_names import parse_keys
 from pianofit.instrument import Instrument, load_instrument
 from pianofit.model.program_cache import enable_program_cache
 from pianofit.playback import Song, render_song

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pianofit.export import parse_keys
+from pianofit.analysis.note_names import parse_keys
 from pianofit.instrument import Instrument, Key, VelocityCurve, write_instrument
 from pianofit.literature import typical
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse, VelocityGain

@@ -19,7 +19,7 @@ CHECKED = [
     "pianofit.inference.batched_model",
     "pianofit.inference.likelihood",
     "pianofit.inference.nuts",
-    "pianofit.inference.objective_function",
+    "pianofit.inference.recording_objective",
     "pianofit.inference.density",
     "pianofit.bensa2005.spectral_criterion",
     "pianofit.x64",

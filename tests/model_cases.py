@@ -16,7 +16,7 @@ import scipy.optimize
 
 from pianofit import model
 from pianofit.model.contact import impulse_amplitude
-from pianofit.model.damped_sums import z_transform
+from pianofit.model.differentiable_sums import z_transform
 from pianofit.model.free_motion import free_motion
 from pianofit.model.free_response import _log_growth
 from pianofit.parameters import Geometry, Hammer, String

@@ -13,7 +13,7 @@ import pianofit
 from pianofit.analysis import Analysis, analyse, law_frequency, note_to_hz
 from pianofit.analysis.baseband_fit import fit_bands
 from pianofit.analysis.inharmonicity import B_RANGE, frequency_law
-from pianofit.analysis.warnings import detect_second_stroke
+from pianofit.analysis.second_stroke import detect_second_stroke
 from pianofit.dsp.bands import Bands
 from pianofit.errors import AnalysisError, WrongNoteError
 from pianofit.recording.recording import recording_from_samples

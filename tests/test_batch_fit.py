@@ -43,7 +43,7 @@ def batch(tmp_path_factory):
         struck(place / f"in/grand-F4-{layer}.wav", 69, velocity)
     noise = np.random.default_rng(1).normal(0.0, 0.1, 30_000)
     (place / "in/grand-D4-noise.wav").write_bytes(encode_wav(noise, 22_050))
-    command = ("batch", place / "in", "--pattern", PATTERN, "--out", place / "out", "--no-page", "--workers", 1)
+    command = ("batch", place / "in", "--pattern", PATTERN, "--out", place / "out", "--no-page", "--processes", 1)
     return place, command, run(*command)
 
 
@@ -186,10 +186,10 @@ def test_a_name_is_wrong_from_a_semitone_on():
 @pytest.mark.parametrize(
     ("arguments", "code", "named"),
     [
-        (["--workers", "0"], 1, "--workers 0"),
+        (["--processes", "0"], 1, "--processes 0"),
         (["--memory", "0.1"], 1, "--memory 0.1"),
-        (["--files", "post"], 2, "'post'"),
-        (["--seed", "-1"], 1, "seed=-1"),
+        (["--files", "post"], 2, "--files post"),
+        (["--seed", "-1"], 1, "--seed -1"),
         (["--pattern", "{note}"], 1, "--pattern"),
         (["--setup", "takes.toml"], 1, "[[recording]]"),
         (["--scheduler", "nonsense"], 1, "--scheduler nonsense"),

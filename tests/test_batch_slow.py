@@ -112,7 +112,7 @@ def test_all_88_keys_of_a_made_library(tmp_path):
     for midi in keys:
         record_key(tmp_path / "in", midi, np.random.default_rng(midi), layers=VELOCITIES)
     began = time.monotonic()
-    arguments = ("batch", tmp_path / "in", "--pattern", "{note}-{layer}", "--out", tmp_path / "out", "--workers", 2)
+    arguments = ("batch", tmp_path / "in", "--pattern", "{note}-{layer}", "--out", tmp_path / "out", "--processes", 2)
     process = python(CLI, *arguments, "--no-page", "--json")
     output, errors = process.communicate()
     minutes = (time.monotonic() - began) / 60

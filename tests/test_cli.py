@@ -13,16 +13,21 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import mido
 import numpy as np
 import pytest
 import soundfile
 import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
+from instrument_cases import true_instrument
 from report_cases import example_fit
 
+from pianofit import ExportOptions, NoteOptions, PlayOptions
 from pianofit.cli import app, main
+from pianofit.instrument import write_instrument
 from pianofit.io.files import PEAK_LIMIT
 from pianofit.literature import PRESETS, preset
+from pianofit.mend import MendOptions
 from pianofit.report.summary import _recording_line
 
 PROGRAM = (sys.executable, "-m", "pianofit")
@@ -85,6 +90,30 @@ def test_a_bad_input_in_a_process_of_its_own(bad, tmp_path):
 def test_a_number_has_no_unit_where_its_range_has_none(tmp_path, capsys):
     assert main(["simulate", "--preset", "bensa-final", "--set", "p=9", "--out", str(tmp_path / "a.wav")]) == 1
     assert capsys.readouterr().err.endswith("p=9.0 must be a number from 1 to 5\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        ("dataset --out @/out --count 0", "--count 0 must be from 1 to 10,000,000"),
+        ("dataset --out @/out --modal-response", "--modal-response needs --around,"),
+        ("dataset --out @/out --noise 70-40", "--noise 70.0-40.0 must"),
+        ("play @ @/a.mid --out @/a.wav --pedal-range 64-24", "--pedal-range 64-24 must"),
+        ("play @ @/a.mid --out @/a.wav --gain 99", "--gain 99.0 dB must"),
+        ("export @ --out @/a.dsp --format faust --no-fill", "--format faust has no samples; leave out --no-fill"),
+        ("mend @ --fits @ --dry-run --even-levels 2", "--even-levels 2.0 must"),
+        ("mend @ --fits @ --dry-run --keys C2..C6", "--keys C2..C6 must"),
+        ("simulate --preset 'my piano' --out @/a.wav", "--preset 'my piano' is unknown"),
+        ("fit @/note=1.wav --out @/out", "/note=1.wav: no such file"),
+        ("fit @/a.wav --out @/out --evaluations 600", "--evaluations 600 needs an annealing: use --recipe paper"),
+        ("tuning @ --octave 3:1", "--octave 3:1 must be 2:1, 4:2 or 6:3; see pianofit tuning --help"),
+    ],
+)
+def test_an_error_names_the_option_as_it_was_typed(command, option, tmp_path, capsys):
+    write_instrument(tmp_path / "instrument.json", true_instrument(range(60, 61)))
+    mido.MidiFile(tracks=[mido.MidiTrack([mido.Message("note_on", note=60)])]).save(tmp_path / "a.mid")
+    assert main(shlex.split(command.replace("@", str(tmp_path)))) in (1, 2)
+    assert option in capsys.readouterr().err
 
 
 def test_the_corpus_is_large_and_meets_every_command():
@@ -265,9 +294,9 @@ def commands() -> dict:
 def test_the_help_of_the_program_names_every_command_and_cuts_nothing(commands):
     text = helped("--help")
     assert text == helped("-h")
-    assert {line.split()[0] for line in text.partition("Commands:")[2].splitlines() if line[2:3].isalpha()} >= {
-        *commands
-    }
+    listed = text.partition("--help")[2].partition("One note:")[2]
+    assert {line.split()[0] for line in listed.splitlines() if line[2:3].isalpha()} >= {*commands}
+    assert all(f"\n{command.rich_help_panel}:\n" in text for command in commands.values())
     assert "..." not in text.replace("COMMAND [ARGS]...", "")
     assert max(map(len, text.splitlines())) <= 80
 
@@ -281,6 +310,35 @@ def test_the_help_of_every_command_has_an_example_that_parses_and_no_types(comma
         command.make_context(name, shlex.split(example)[2:]).close()
         assert not re.search(r"\b(TEXT|PATH|FLOAT|INTEGER|list\[|<path>|TAKE)\b|<path>|\{[A-Z]", text), text
         assert all(option.help or option.hidden for option in command.params), name
+
+
+def test_the_options_of_all_commands_have_one_style(commands):
+    """A metavar is in capitals, and a default is not in the prose of a help text."""
+    for name, command in commands.items():
+        for option in command.params:
+            metavar = option.metavar or ""
+            assert re.fullmatch(r"[A-Z0-9_./=|-]*(\.\.\.)?", metavar), f"{name} {metavar}"
+            assert bool(metavar) != bool(getattr(option, "is_flag", False)), f"{name} {option.name}"
+            assert not re.search(r"(?i)\bdefault\b[: ]", option.help), f"{name} {option.name}"
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("play", PlayOptions()),
+        ("export", ExportOptions()._replace(kind=None)),  # pyright: ignore[reportArgumentType]
+        ("mend", MendOptions()),
+        ("dataset", NoteOptions()),
+    ],
+)
+def test_a_command_has_the_defaults_and_the_names_of_its_function(command, options, commands):
+    example = re.findall(r"Example:\n  pianofit \S+ (.*)", commands[command].epilog)[0]
+    with commands[command].make_context(command, shlex.split(example)) as context:
+        stated = {name for name in context.params if context.get_parameter_source(name).name == "COMMANDLINE"}
+        own = options._asdict() if hasattr(options, "_asdict") else vars(options)
+        assert own.keys() <= context.params.keys()
+        for name in own.keys() - stated:
+            assert context.params[name] == pytest.approx(own[name]), name
 
 
 SHELLS = ("bash", "zsh", "fish")

@@ -80,7 +80,7 @@ def test_processes_interruptions_and_extensions_do_not_change_a_data_set(tmp_pat
     (parts / "blocks" / ".00001" / "0000512.flac").write_bytes(b"half")
     resumed = write_dataset(parts, BLOCK + 5, seed=2, options=SMALL, progress=False)
     assert resumed.made == 5
-    extended = write_dataset(parts, count, seed=2, options=SMALL, jobs=2, progress=False)
+    extended = write_dataset(parts, count, seed=2, options=SMALL, processes=2, progress=False)
     assert extended.made == count - BLOCK
     assert files(parts) == files(tmp_path / "whole")
     assert write_dataset(parts, count, seed=2, options=SMALL, progress=False).made == 0
@@ -208,19 +208,20 @@ def test_notes_are_drawn_around_an_instrument_and_a_fit(tmp_path):
 
 
 BAD = {
-    "count": ["--count", 0],
-    "seed": ["--seed", -1],
-    "keys": ["--keys", "C6..C2"],
-    "keys=": ["--keys", "H2..C5"],
-    "--keys": ["--keys", "C4"],
-    "seconds": ["--seconds", 0],
-    "rate": ["--rate", 10],
-    "layers": ["--layers", 0],
-    "spread": ["--spread", -1],
-    "noise_db": ["--noise", "60..40"],
-    "--noise": ["--noise", "loud"],
-    "modal_response": ["--modal-response"],
-    "jobs": ["--jobs", 0],
+    "--count 0": ["--count", 0],
+    "--seed -1": ["--seed", -1],
+    "--keys C6-C2": ["--keys", "C6-C2"],
+    "--keys H2-C5": ["--keys", "H2-C5"],
+    "--keys C2..C6": ["--keys", "C2..C6"],
+    "one range": ["--keys", "C4,C6"],
+    "--seconds 0.0": ["--seconds", 0],
+    "--rate 10": ["--rate", 10],
+    "--layers 0": ["--layers", 0],
+    "--spread -1.0": ["--spread", -1],
+    "--noise 60.0-40.0": ["--noise", "60-40"],
+    "--noise 300.0": ["--noise", "300"],
+    "--modal-response": ["--modal-response"],
+    "--processes 0": ["--processes", 0],
     "no such file": ["--around", "absent.json"],
 }
 
@@ -230,7 +231,7 @@ def test_a_bad_option_is_one_line_and_writes_nothing(word, tmp_path):
     done = run("dataset", "--out", tmp_path / "out", *BAD[word])
     assert done.exit_code == 1
     assert done.stderr.count("\n") == 1
-    assert word.rstrip("=") in done.stderr
+    assert word in done.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -252,7 +253,7 @@ def test_other_folders_and_other_data_sets_are_not_touched(tmp_path):
 
 
 def test_the_command_reports_what_it_made(tmp_path):
-    words = ("--count", 3, "--keys", "C5..C6", "--seconds", 0.02, "--jobs", 1)
+    words = ("--count", 3, "--keys", "C5-C6", "--seconds", 0.02, "--processes", 1)
     done = run("dataset", "--out", tmp_path / "a", *words, "--json")
     assert done.exit_code == 0
     assert {k: v for k, v in json.loads(done.stdout).items() if k != "seconds"} == {
@@ -265,8 +266,8 @@ def test_the_command_reports_what_it_made(tmp_path):
 
 
 def test_an_interrupted_command_is_one_line_and_goes_on(tmp_path):
-    words = ["dataset", "--out", str(tmp_path), "--count", str(2 * BLOCK), "--keys", "C5..C6", "--seconds", "0.02"]
-    command = [sys.executable, "-m", "pianofit", *words, "--jobs", "2"]
+    words = ["dataset", "--out", str(tmp_path), "--count", str(2 * BLOCK), "--keys", "C5-C6", "--seconds", "0.02"]
+    command = [sys.executable, "-m", "pianofit", *words, "--processes", "2"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "dataset.json").exists():
         time.sleep(0.05)
@@ -275,7 +276,7 @@ def test_an_interrupted_command_is_one_line_and_goes_on(tmp_path):
     assert process.returncode == 130
     assert message.count("\n") == 1
     assert not (tmp_path / "notes.csv").exists()
-    assert run(*words, "--jobs", 1).exit_code == 0
+    assert run(*words, "--processes", 1).exit_code == 0
     assert len(rows(tmp_path)) == 2 * BLOCK
 
 

@@ -57,7 +57,7 @@ def test_the_first_power_is_one(count):
 
 @pytest.mark.parametrize("count", [1, 511, 512, 40_000])
 def test_sums_and_transforms_of_damped_modes_are_plain_sums(count, float64):
-    from pianofit.model.damped_sums import sum_damped_exponentials, z_transform
+    from pianofit.model.differentiable_sums import sum_damped_exponentials, z_transform
 
     rng = np.random.default_rng(count)
     log_z = -rng.uniform(1e-5, 1e-2, 7) + 1j * rng.uniform(0.01, 3, 7)

@@ -165,7 +165,7 @@ def test_an_amount_is_from_0_to_1(folder, even):
 def test_a_built_instrument_is_not_evened(pianos, tmp_path):
     write_instrument(tmp_path / "instrument.json", pianos[0.0])
     assert load_instrument(tmp_path, even=0.0).even == 0.0
-    with pytest.raises(ParameterError, match=r"--even 0\.5"):
+    with pytest.raises(ParameterError, match=r"even=0\.5"):
         load_instrument(tmp_path, even=0.5)
 
 

@@ -213,7 +213,7 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
     assert json.loads(done.stdout)["unrecorded"] == 1
     for more, message in (
         (["a.cpp"], ".dsp"),
-        (["b.dsp", "--velocity-layers", "4", "--samples", "wav"], "--velocity-layers, --samples"),
+        (["b.dsp", "--velocity-layers", "4", "--sample-format", "wav"], "--velocity-layers 4, --sample-format wav"),
     ):
         refused = CliRunner().invoke(app, [*words, str(tmp_path / more[0]), *more[1:]])
         assert refused.exit_code == 1

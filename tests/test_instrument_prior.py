@@ -7,7 +7,7 @@ import pytest
 from instrument_cases import fit_document, true_note
 
 from pianofit.felt import DEFAULT_LAW
-from pianofit.felt.hunt_crossley import HAMMER_SD
+from pianofit.felt.published import HAMMER_SD
 from pianofit.inference.parametrisation import Parametrisation
 from pianofit.instrument.fit_prior import REACH, FitPrior, prior_of, remove_prior
 from pianofit.instrument.keyboard_posterior import KeyMeasurements, Measurement, keyboard_posterior

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from instrument_cases import ERRORS, library, true_instrument, true_note
 
 from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import parse_keys
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
-from pianofit.export import ExportOptions, export_sampler, parse_keys
+from pianofit.export import ExportOptions, export_sampler
 from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
 from pianofit.instrument.dampers import LAST_DAMPER
@@ -240,7 +241,7 @@ def test_keys_are_named_as_players_name_them():
     assert parse_keys("every 3")[:3] == [21, 24, 27]
     assert parse_keys("every 12,A0,B0-C1") == [21, 23, 24, *range(33, 109, 12)]
     for text in ("", "H2", "C2-", "C8-A0", "G#0", "C2-D2-E2", "every 0", "every", "C2;D2"):
-        with pytest.raises(ParameterError, match="--keys"):
+        with pytest.raises(ParameterError, match="keys="):
             parse_keys(text)
 
 

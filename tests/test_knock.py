@@ -10,14 +10,14 @@ from observed_cases import analysis
 from scipy import signal
 
 import pianofit
-from pianofit.analysis.knock import measure_knock
-from pianofit.dsp.knock import centre, nodes
+from pianofit.analysis.measure_knock import measure_knock
+from pianofit.dsp.knock_band import centre, nodes
 from pianofit.inference import build_problem, priors
 from pianofit.inference.batched_model import LevelModel
 from pianofit.inference.observation_tables import KNOCK, RecordingStructure, observe
 from pianofit.model import mode_table, strike
 from pianofit.model.contact import strike_final_state
-from pianofit.model.knock import add_probes
+from pianofit.model.knock_force import add_probes
 from pianofit.model.output_path import OutputPath
 from pianofit.result.prediction import predict_recording
 

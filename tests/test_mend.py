@@ -148,7 +148,7 @@ def test_a_library_is_mended(made, tmp_path, capsys):
         out,
         "--tails",
         "5",
-        "--even",
+        "--even-levels",
         "1",
         "--onsets",
         "1",
@@ -191,7 +191,7 @@ def test_a_dry_run_writes_nothing(made, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"options": MendOptions(even=2.0)}, ParameterError),
+        ({"options": MendOptions(even_levels=2.0)}, ParameterError),
         ({"options": MendOptions(tails=-1.0)}, ParameterError),
         ({"prefix": "cello"}, SetupError),
         ({"fits": "nothing"}, FitError),

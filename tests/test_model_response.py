@@ -215,7 +215,7 @@ def test_a_waveform_is_traced_and_has_the_derivatives_of_differences(quantity):
     np.testing.assert_allclose(slope, (up - down) / (2e-5 * hammer.v_H0), atol=1e-5 * np.abs(slope).max())
     loss = jax.jit(jax.grad(lambda h: (sound(h) ** 2).sum()))(hammer)
     assert np.isfinite(jax.tree.leaves(loss)).all()
-    with pytest.raises(ParameterError, match="oversampling=None: waveform is traced"):
+    with pytest.raises(ParameterError, match="oversampling=None: "):
         jax.jit(
             lambda h: model.waveform(
                 m := model.mode_table(STRING, GEOMETRY, rate=2 * RATE, n_modes=60),

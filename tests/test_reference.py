@@ -26,7 +26,7 @@ from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touc
 
 from pianofit import model
 from pianofit.model.contact import impulse_amplitude
-from pianofit.model.damped_sums import sum_damped_exponentials
+from pianofit.model.differentiable_sums import sum_damped_exponentials
 from pianofit.model.free_motion import free_motion
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 

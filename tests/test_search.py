@@ -15,7 +15,6 @@ from pianofit.errors import FitError
 from pianofit.excitation.hammer import FINE_VELOCITIES, VELOCITIES
 from pianofit.inference import FitProblem, InferenceResult, Posterior, build_problem, map_estimate
 from pianofit.inference.batched_model import LevelModel
-from pianofit.inference.estimate import fit_string, refine_minima
 from pianofit.inference.laplace import laplace
 from pianofit.inference.multistart import (
     deduplicate,
@@ -26,6 +25,7 @@ from pianofit.inference.multistart import (
 )
 from pianofit.inference.objective import Objective, QuadraticSurrogate
 from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
+from pianofit.inference.run_inference import fit_string, refine_minima
 from pianofit.literature import preset
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES

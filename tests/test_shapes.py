@@ -12,7 +12,7 @@ from conftest import CHECKED
 from jaxtyping import TypeCheckError
 
 import pianofit as pf
-from pianofit.model.damped_sums import sum_damped_exponentials, z_transform
+from pianofit.model.differentiable_sums import sum_damped_exponentials, z_transform
 
 SOURCE = Path(pf.__file__).parent
 ROWS = np.full(3, -0.1 + 1j)

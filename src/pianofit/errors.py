@@ -7,6 +7,9 @@ The command line prints the message without a traceback and exits with 1.
 from numbers import Real
 from typing import Any
 
+# Whole ends of ranges from here on have commas, up to where a power of ten is easier to read.
+GROUPED, SCIENTIFIC = 10_000, 1e10
+
 
 class PianofitError(Exception):
     """Base class of all errors that the input causes."""
@@ -43,13 +46,18 @@ class OutputError(PianofitError):
 def check_range(name: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
     """Raise a `ParameterError` if `value` is not a number in the range. Messages begin with `name`, as "layers="."""
     if not (isinstance(value, Real) and low <= value <= high):
-        raise ParameterError(f"{name}{_short(value)}{unit} must be from {low:g} to {high:g}{hint}")
+        raise ParameterError(f"{name}{_short(value)}{unit} must be from {_bound(low)} to {_bound(high)}{hint}")
 
 
 def check_type(name: str, value: Any, kinds: Any, expected: str) -> None:
     """Raise a `ParameterError` if `value` is not of these `kinds`. True and False do not count as numbers."""
     if not isinstance(value, kinds) or (kinds is Real and isinstance(value, bool)):
         raise ParameterError(f"{name}{_short(value)} must be {expected}")
+
+
+def _bound(value: float) -> str:
+    """Return the end of a range: a large whole number with commas, any other number with six digits."""
+    return f"{value:,.0f}" if value == round(value) and GROUPED <= abs(value) < SCIENTIFIC else f"{value:g}"
 
 
 def _short(value: Any) -> str:

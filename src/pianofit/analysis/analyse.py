@@ -15,13 +15,14 @@ from .analysis_result import Analysis, Partials
 from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
 from .glide import PitchGlide, glide_detected, glide_windows, remove_glide
 from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
-from .knock import measure_knock
+from .measure_knock import measure_knock
 from .note_names import hz_to_note, midi_to_note, note_to_midi
 from .numbering import number_partials
 from .partials import LEAST_SNR, measure_partials
 from .pitch import find_pitch
+from .second_stroke import detect_second_stroke
 from .spectrum import noise_between, spectrum
-from .warnings import analysis_warnings, detect_second_stroke
+from .warnings import analysis_warnings
 
 _TOP = 12000.0  # Hz, highest frequency searched for partials
 

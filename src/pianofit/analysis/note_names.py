@@ -6,8 +6,8 @@ import math
 import re
 from numbers import Integral
 
-from ..conversions import hertz_of, midi_of
-from ..errors import AnalysisError, check_type
+from ..conversions import HIGHEST_KEY, LOWEST_KEY, hertz_of, midi_of
+from ..errors import AnalysisError, ParameterError, check_type
 
 # Largest difference in pitch between recordings of one key, cents; the next key is 100 away.
 SAME_KEY_CENTS = 40.0
@@ -15,6 +15,7 @@ HIGHEST_MIDI = 127  # highest note number of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 _NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
+_EVERY = re.compile(r"every\s+([1-9]\d?)")
 _NUMBER = re.compile(r"\d{1,3}", re.ASCII)
 _SHIFT = {"": 0, "#": 1, "♯": 1, "s": 1, "##": 2, "b": -1, "♭": -1, "bb": -2}
 
@@ -67,3 +68,47 @@ def nearest_note(frequency: float) -> str:
 def midi_to_note(midi: int) -> str:
     """Name of a MIDI number: "F#2" for 42."""
     return f"{_NAMES[midi % 12]}{midi // 12 - 1}"
+
+
+def parse_keys(text: str) -> list[int]:
+    """Keys of a piano in words.
+
+    Parameters
+    ----------
+    text : A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a comma-separated mixture.
+
+    Returns
+    -------
+    MIDI keys, ascending.
+
+    Raises
+    ------
+    ParameterError
+        If a part is not a key or a range within A0 to C8, lower key first.
+
+    Examples
+    --------
+    >>> from pianofit.analysis.note_names import parse_keys
+    >>> parse_keys("C2,E2-G2")
+    [36, 40, 41, 42, 43]
+    """
+    keys: set[int] = set()
+    for part in (piece.strip() for piece in text.split(",")):
+        every = _EVERY.fullmatch(part)
+        try:
+            found = range(LOWEST_KEY, HIGHEST_KEY + 1, int(every[1])) if every else _key_range(part)
+        except AnalysisError:
+            found = range(0)
+        if not found or found[0] < LOWEST_KEY or found[-1] > HIGHEST_KEY:
+            raise ParameterError(
+                f"keys={text!r} must be keys from A0 to C8, such as A0-C8, C2,E2,G2 or 'every 3' (semitones), and the "
+                "lower key of a range comes first"
+            )
+        keys.update(found)
+    return sorted(keys)
+
+
+def _key_range(text: str) -> range:
+    """Keys of a range such as A0-C8, or of one note."""
+    low, hyphen, high = text.partition("-")
+    return range(note_to_midi(low), note_to_midi(high if hyphen else low) + 1)

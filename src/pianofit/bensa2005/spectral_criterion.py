@@ -28,7 +28,7 @@ from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed
 from ..dsp.damped_sums import z_transform_at_poles
 from ..inference import run_in_batches
 from ..model.contact import impulse_amplitude, kernel_rows, strike
-from ..model.damped_sums import z_transform
+from ..model.differentiable_sums import z_transform
 from ..model.free_response import modal_transform
 from ..model.modes import Modes, mode_table
 from ..model.program_cache import persistent_jit

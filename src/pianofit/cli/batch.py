@@ -10,6 +10,7 @@ import contextlib
 import shlex
 import signal
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,9 +24,23 @@ from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.recording import check_channel
 from ..setup import SETUP_KEYS, Setup
-from ..threads import cores
 from .fits import setup_of_options
-from .options import Channel, Excitation, Json, Quantity, Seed, choice, number, whole
+from .options import (
+    Channel,
+    DryRun,
+    Excitation,
+    Felt,
+    Json,
+    Processes,
+    Quantity,
+    Seed,
+    choice,
+    flag,
+    integer,
+    process_count,
+    real,
+    text,
+)
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -48,87 +63,70 @@ def _resumable() -> Iterator[None]:
 
 
 def batch(
-    manifest: Annotated[
+    library: Annotated[
         Path,
         typer.Argument(
-            metavar="MANIFEST",
+            metavar="LIBRARY",
             help="A CSV with the columns file and note (and instrument, take or layer, velocity, v_H0, group, mic), an "
             "SFZ file, or a folder of recordings.",
         ),
     ],
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the batch: index.html, keys.csv, and keys/KEY/ for every finished key.",
-        ),
+        Path, text("DIR", "Folder of the batch: index.html, keys.csv, and keys/KEY/ for every finished key.")
     ],
     pattern: Annotated[
         str | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Form of the file names in a folder: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
-            "{velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing. Default: guessed from the names.",
+        text(
+            "PATTERN",
+            "Form of the file names in a folder: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
+            "{velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing.",
+            default="guessed from the names",
         ),
     ] = None,
     root: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder that must contain all recordings, after resolving links. Default: the folder of the manifest.",
+        text(
+            "DIR",
+            "Folder that must contain all recordings, after resolving links.",
+            default="that of LIBRARY",
         ),
     ] = None,
-    transpose: Annotated[
-        int, typer.Option(parser=whole, metavar="N", help="Semitones added to every note name, such as 12 or -12.")
-    ] = 0,
-    setup: Annotated[
-        Path | None,
-        typer.Option(metavar="SETUP.TOML", help="Setup for all keys, without [[recording]]."),
-    ] = None,
+    transpose: Annotated[int, integer("N", "Semitones added to every note name, such as 12 or -12.")] = 0,
+    setup: Annotated[Path | None, text("SETUP.TOML", "Setup for all keys, without [[recording]].")] = None,
+    felt: Felt = None,
     excitation: Excitation = None,
     quantity: Quantity = None,
     channel: Channel = "average",
     seed: Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(parser=whole, metavar="N", help="Number of processes. Default: one for each core.")
-    ] = None,
-    memory: Annotated[
-        float, typer.Option(parser=number, metavar="GIB", help="Memory limit of each process (Linux).")
-    ] = 4.0,
-    time_limit: Annotated[
-        float, typer.Option(parser=number, metavar="S", help="Time limit for each key in seconds.")
-    ] = 3600.0,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a dask.distributed scheduler, tcp://HOST:PORT."),
-    ] = None,
+    processes: Processes = None,
+    memory: Annotated[float, real("GIB", "Memory limit of each process in GiB (Linux).")] = 4.0,
+    time_limit: Annotated[float, real("S", "Time limit for each key in seconds.")] = 3600.0,
+    scheduler: Annotated[str | None, text("ADDRESS", "Use a dask.distributed scheduler, tcp://HOST:PORT.")] = None,
     files: Annotated[
         str,
-        typer.Option(
-            parser=choice("value", "shared"),
-            metavar="value|shared",
-            help="With --scheduler: send the recordings, or let the workers read them from the same paths.",
+        choice(
+            "MODE",
+            "With --scheduler: send the recordings, or let the workers read them from the same paths",
+            ("value", "shared"),
         ),
     ] = "value",
     joint: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--joint",
-            help="Fit every key twice: alone, then with the prior that the fits of all other keys of its instrument "
-            "give. The first fits stay in DIR/alone.",
+            "Fit every key twice: alone, then with the prior that the fits of all other keys of its instrument give. "
+            "The first fits stay in DIR/alone.",
         ),
     ] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Fit keys again that failed before.")] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="List files, notes and keys to fit. Write nothing."),
-    ] = False,
+    retry_failed: Annotated[bool, flag("--retry-failed", "Fit keys again that failed before.")] = False,
+    dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
     """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
-        _check(workers, memory, time_limit, seed, channel)
+        count = process_count(processes)
+        _check(memory, time_limit, seed, channel)
         from ..batch import (
             check_cluster,
             layout_remarks,
@@ -141,19 +139,20 @@ def batch(
 
         if scheduler is not None:
             check_cluster()
-        keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        jobs = _jobs(manifest, keys, _settings(setup, excitation, quantity, channel, seed, page, joint))
+        keys, remarks = read_keys(library, pattern=pattern, root=root, transpose=transpose)
+        settings = _settings(setup, (felt, excitation, quantity), channel, seed, page, joint)
+        jobs = _jobs(library, keys, settings)
         for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
             plan = plan_joint_jobs if joint else plan_jobs
-            _print_plan(manifest, jobs, plan(jobs, out, retry_failed), as_json)
+            _print_plan(library, jobs, plan(jobs, out, retry_failed), as_json)
             return
         with _progress_printer() as progress:
-            make_workers = _workers(workers, memory, time_limit, scheduler, files == "value")
+            make_workers = _workers(count, memory, time_limit, scheduler, files == "value")
             run = run_joint_batch if joint else run_batch
             result = run(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
-        is_playable = setup_of_options(setup, None, excitation, quantity, None).law.has_contact
+        is_playable = setup_of_options(setup, felt, excitation, quantity, None).law.has_contact
         print_result(asdict(result), _summary(result, is_playable), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
@@ -169,58 +168,54 @@ def status(
     print_result(asdict(result), _summary(result), as_json)
 
 
-def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-    check_range("--workers ", 1 if workers is None else workers, 1, 1024)
-    check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
-    check_range("--time-limit ", time_limit, 1, 1e6, " s")
+def _check(memory: float, time_limit: float, seed: int, channel: str) -> None:
+    check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
+    check_range("time_limit=", time_limit, 1, 1e6, " s")
     check_seed(seed)
     check_channel(channel)
 
 
 def _settings(
     setup: Path | None,
-    excitation: str | None,
-    quantity: str | None,
+    assumed: tuple[str | None, str | None, str | None],
     channel: str,
     seed: int,
     page: bool,
     joint: bool,
 ) -> Settings:
-    """Settings that all keys share. The setup is checked and included as text."""
+    """Settings that all keys share. The setup, with felt, excitation and quantity, is checked and included as text."""
     from ..batch import Settings
 
-    options = setup_of_options(setup, None, excitation, quantity, None)
+    options = setup_of_options(setup, *assumed, None)
     if joint and not options.law.has_contact:
         raise SetupError(f"--joint has no prior for a {options.excitation}; leave it out")
-    text = "".join(_option_tables(setup, {"excitation": excitation, "pickup_quantity": quantity}))
+    names = ("felt", "excitation", "pickup_quantity")
+    toml = "".join(_option_tables(setup, dict(zip(names, assumed, strict=True))))
     if setup is not None:
-        given = Setup.from_toml(setup)
-        if given.recordings:
+        if options.recordings:
             raise SetupError(
                 f"{printable(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
             )
-        if joint and given.prior is not None:
+        if joint and options.prior is not None:
             raise SetupError(f"{printable(setup)}: has a [prior], which --joint computes for every key; remove one")
-        text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n" + text
-    return Settings(seed, channel, page, text)
+        toml = setup.read_text(encoding="utf-8-sig").rstrip() + "\n" + toml
+    return Settings(seed, channel, page, toml)
 
 
 def _option_tables(setup: Path | None, options: Mapping[str, str | None]) -> Iterator[str]:
     """Yield the tables of a setup for the options that the file does not have."""
-    own = Setup() if setup is None else Setup.from_toml(setup)
+    own = {} if setup is None else tomllib.loads(setup.read_text(encoding="utf-8-sig"))
     for name, value in options.items():
-        if value is None or getattr(own, name) == value:
-            continue
         table, key = SETUP_KEYS[name]
-        if any(getattr(own, other) != getattr(Setup(), other) for other, (t, _) in SETUP_KEYS.items() if t == table):
+        if value is None or own.get(table, {}).get(key) == value:
+            continue
+        if table in own:
             raise SetupError(f'{printable(setup or "")}: has a table [{table}]; add {key} = "{value}" there')
         yield f'[{table}]\n{key} = "{value}"\n'
 
 
 def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
-    import tomllib
-
     from ..batch import make_job
     from ..batch.library_files import first_of
 
@@ -237,13 +232,13 @@ def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     return jobs
 
 
-def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
+def _workers(processes: int, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
     """Return the function that starts the workers. The batch calls it after locking the folder."""
     from ..batch import DaskPool, ProcessPool
 
     if scheduler is not None:
         return lambda _: DaskPool(scheduler, by_value)
-    return lambda store: ProcessPool(workers or cores(), int(memory * 2**30), time_limit, store.scratch)
+    return lambda store: ProcessPool(processes, int(memory * 2**30), time_limit, store.scratch)
 
 
 def _line(p: Progress) -> str:
@@ -330,8 +325,8 @@ def _summary(result: Status, playable: bool = True) -> str:
     states = ", ".join(f"{n} {state}" for state, n in count.items())
     lines = [f"{states} of {counted(len(result.keys), 'key')}{at_work}"]
     if result.median_seconds:
-        memory = f"at most {result.largest_memory / 2**30:.2f} GiB a process"
-        lines.append(f"median {result.median_seconds:.1f} s a key, {memory}")
+        memory = f"at most {result.largest_memory / 2**30:.2f} GiB per process"
+        lines.append(f"median {result.median_seconds:.1f} s per key, {memory}")
     if running := [(entry.key, entry.stage) for entry in result.keys if entry.state == "running"]:
         lines.append(f"at work: {_running_keys(running)}")
     failed = [entry for entry in result.keys if entry.state == "failed"]

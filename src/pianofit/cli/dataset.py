@@ -4,48 +4,67 @@ from __future__ import annotations
 
 import multiprocessing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
-import typer
-
+from ..analysis.note_names import midi_to_note, parse_keys
 from ..errors import ParameterError
 from ..io.files import cleanup_on_interrupt, printable
 from ..io.number_format import counted
-from ..threads import cores
-from .options import RATE, Json, Seconds, Seed, choice, integer, real, text
+from .options import (
+    RATE,
+    Json,
+    Processes,
+    Seconds,
+    Seed,
+    choice,
+    flag,
+    integer,
+    one_or_range,
+    parse_as,
+    parsed,
+    process_count,
+    real,
+    text,
+)
 from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..schema.dataset import SoundFormat
-
-SEPARATOR = ".."
 
 
 def dataset(
     out: Annotated[Path, text("DIR", "Folder of the data set. The same command again continues it.")],
     count: Annotated[int, integer("N", "Number of notes.")] = 1000,
     seed: Seed = 0,
-    keys: Annotated[str | None, text("LOW..HIGH", "Keys, such as C2..C6. Default: all.")] = None,
+    keys: Annotated[str | None, text("LOW-HIGH", "Range of keys, such as C2-C6.", default="all")] = None,
     seconds: Seconds = 1.0,
     rate: Annotated[int, RATE] = 44_100,
     layers: Annotated[int, integer("N", "Velocities at which every note is rendered.")] = 1,
     around: Annotated[
-        Path | None, text("FILE", "Draw around a fit.json or an instrument.json instead of the literature.")
+        Path | None,
+        text("FIT.JSON|INSTRUMENT.JSON", "Draw around a fit or an instrument.", default="around the literature"),
     ] = None,
-    spread: Annotated[float, real("X", "Factor of the priors' standard deviations, except of the velocity.")] = 1.0,
+    spread: Annotated[float, real("FACTOR", "Widen all priors but that of the velocity by this factor.")] = 1.0,
     path: Annotated[
-        bool, typer.Option("--path", help="Filter every note by a random output path: soundboard, room and microphone.")
+        bool, flag("--path", "Filter every note by a random output path: soundboard, room and microphone.")
     ] = False,
-    noise: Annotated[
-        str | None, text("DB", "White noise, dB below the rms of the loudest layer, such as 60 or 40..70.")
+    noise_db: Annotated[
+        Any,
+        parsed(
+            "DB|LOW-HIGH",
+            "White noise, dB below the rms of the loudest layer, such as 60, or random in a range such as 40-70.",
+            parse_as(one_or_range, "a number of dB, such as 60, or a range, such as 40-70"),
+            "--noise",
+            default="none",
+        ),
     ] = None,
     modal_response: Annotated[
-        bool, typer.Option("--modal-response", help="Render the measured modes of the fit or instrument of --around.")
+        bool, flag("--modal-response", "Render the measured modes of the fit or instrument of --around.")
     ] = False,
-    form: Annotated[
-        str, typer.Option("--format", parser=choice("flac", "wav", "npz"), metavar="FORMAT", help="flac, wav or npz.")
+    format: Annotated[  # noqa: A002
+        str, choice("FORMAT", "Format of the sounds", ("flac", "wav", "npz"), "--sample-format")
     ] = "flac",
-    jobs: Annotated[int | None, integer("N", "Processes. Default: one a core.")] = None,
+    processes: Processes = None,
     as_json: Json = False,
 ) -> None:
     """Write labelled synthetic notes: sounds and one table of parameters."""
@@ -54,23 +73,24 @@ def dataset(
 
     enable_program_cache()
     options = NoteOptions(
-        keys=None if keys is None else _pair(keys, "--keys", "C2..C6"),
+        keys=None if keys is None else _ends(keys),
         seconds=seconds,
         rate=rate,
         layers=layers,
         path=path,
-        noise_db=None if noise is None else _noise(noise),
+        noise_db=noise_db,
         modal_response=modal_response,
         around=None if around is None else str(around),
         spread=spread,
     )
-    jobs = cores() if jobs is None else jobs
+    workers = process_count(processes)
     with cleanup_on_interrupt(_end_workers):  # the same command continues
-        made = write_dataset(out, count, seed=seed, options=options, format=cast("SoundFormat", form), jobs=jobs)
+        kind = cast("SoundFormat", format)
+        made = write_dataset(out, count, seed=seed, options=options, format=kind, processes=workers)
     there = f", {counted(made.notes - made.made, 'note')} were there before" if made.made < made.notes else ""
     words = (
         f"{printable(made.folder)}: {counted(made.notes, 'note')}, {counted(made.sounds, 'sound')}{there}; "
-        f"{made.seconds:.1f} s\nnotes.csv has one row a sound, dataset.json its columns and units\n"
+        f"{made.seconds:.1f} s\nnotes.csv has one row per sound, dataset.json its columns and units\n"
     )
     print_result(made, words, as_json)
 
@@ -82,18 +102,9 @@ def _end_workers() -> None:
         worker.join()
 
 
-def _pair(given: str, option: str, example: str) -> tuple[str, str]:
-    """Split a range at its two dots."""
-    low, dots, high = given.partition(SEPARATOR)
-    if not (dots and low and high):
-        raise ParameterError(f"{option} {printable(given)}: write the lowest and the highest, such as {example}")
-    return low.strip(), high.strip()
-
-
-def _noise(given: str) -> float | tuple[float, float]:
-    parts = _pair(given, "--noise", "40..70") if SEPARATOR in given else (given,)
-    try:
-        low, high = float(parts[0]), float(parts[-1])
-    except ValueError:
-        raise ParameterError(f"--noise {printable(given)}: write a level in dB, or a range such as 40..70") from None
-    return (low, high) if len(parts) > 1 else low
+def _ends(keys: str) -> tuple[str, str]:
+    """Return the lowest and the highest key of a range."""
+    chosen = parse_keys(keys)
+    if len(chosen) != chosen[-1] - chosen[0] + 1:
+        raise ParameterError(f"keys={keys!r} must be one range, such as C2-C6")
+    return midi_to_note(chosen[0]), midi_to_note(chosen[-1])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,51 +13,51 @@ from ..errors import OutputError, ParameterError
 from ..io.files import check_target, printable
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import Built, Even, Force, Json, Prefix, integer, real, text
+from .options import Built, Even, Force, Json, Prefix, choice, flag, integer, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..export import ExportSummary
     from ..export.faust import FaustSummary
 
-# Options whose names differ from those of `ExportOptions`.
-OPTION_NAMES = {
-    "layers": "--velocity-layers",
-    "kind": "--samples",
-    "blend": "--velocity-blend",
-    "una_corda": "--una-corda",
-    "peak_db": "--peak",
-    "trim_db": "--trim",
-}
 # Formats that are one file, and the ending of its name.
 ENDINGS = {"faust": ".dsp", "modal-json": ".json"}
 
 
 def export(
+    ctx: typer.Context,
     built: Built,
     out: Annotated[Path, text("DIR|FILE", "Folder of a sampler, or file: .dsp for Faust, .json for modal-json.")],
     prefix: Prefix = None,
     even: Even = 0.0,
-    to: Annotated[str, text("FORMAT", "Format: sfz, decent-sampler, faust or modal-json.", "--format")] = "sfz",
+    to: Annotated[
+        str, choice("FORMAT", "Format", ("sfz", "decent-sampler", "faust", "modal-json"), "--format")
+    ] = "sfz",
     keys: Annotated[
         str, text("KEYS", "Sampled keys: A0-C8, or C2,E2,G2, or 'every 3' (semitones). Others are transposed.")
     ] = "every 3",
     licence: Annotated[str | None, text("WORDS", "Licence of the recordings, for the exported files.")] = None,
-    velocity_layers: Annotated[int | None, integer("N", "Velocity layers of a sampler; default 8.")] = None,
-    velocity_blend: Annotated[
-        str | None, text("curves|xfade|plain", "How neighbouring layers meet over velocity; default curves.")
+    layers: Annotated[int, integer("N", "Velocity layers of a sampler.", "--velocity-layers")] = 8,
+    blend: Annotated[
+        str,
+        choice("BLEND", "Neighbouring layers over velocity", ("curves", "xfade", "plain"), "--velocity-blend"),
+    ] = "curves",
+    resonance: Annotated[bool, typer.Option(help="Sample the free strings under the right pedal.")] = True,
+    una_corda: Annotated[bool, flag("--una-corda", "Sample the left pedal too, which doubles the samples.")] = False,
+    kind: Annotated[
+        str | None,
+        choice(
+            "FORMAT",
+            "Format of the samples, 24 bit",
+            ("flac", "wav"),
+            "--sample-format",
+            default="flac, or wav for decent-sampler",
+        ),
     ] = None,
-    resonance: Annotated[
-        bool | None, typer.Option(help="Sample the free strings under the right pedal; default yes.")
-    ] = None,
-    una_corda: Annotated[
-        bool | None, typer.Option("--una-corda", help="Sample the left pedal too, which doubles the samples.")
-    ] = None,
-    samples: Annotated[str | None, text("flac|wav", "Format of the samples, 24 bit. Default: by --format.")] = None,
-    seconds: Annotated[float | None, real("S", "Longest sample in seconds; default 8.")] = None,
-    peak: Annotated[float | None, real("DB", "Peak of the loudest sample, dB re full scale; default -1.")] = None,
-    trim: Annotated[float | None, real("DB", "A sample ends this far below its peak, dB; default 110.")] = None,
-    rate: Annotated[int | None, integer("HZ", "Sample rate of a sampler in Hz; default 48000.", "--rate")] = None,
+    seconds: Annotated[float, real("S", "Longest sample in seconds.")] = 8.0,
+    peak_db: Annotated[float, real("DB", "Peak of the loudest sample, dB re full scale.", "--peak")] = -1.0,
+    trim_db: Annotated[float, real("DB", "A sample ends this far below its peak, dB.", "--trim")] = 110.0,
+    rate: Annotated[int, integer("HZ", "Sample rate of a sampler in Hz.", "--rate")] = 48_000,
     fill: Annotated[
         bool, typer.Option(help="Sample additional keys, so that no key between the chosen ones is silent.")
     ] = True,
@@ -64,20 +65,15 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Export an instrument as a sampler, as a Faust program, or as modes for other engines."""
-    from ..export import SAMPLERS, ExportOptions, export_sampler, parse_keys
+    from ..analysis.note_names import parse_keys
+    from ..export import SAMPLERS, ExportOptions, export_sampler
     from ..export.faust import write_faust
     from ..export.layers import fill_gaps
     from ..export.modal_json import write_modal_json
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
 
-    options = {"layers": velocity_layers, "seconds": seconds, "rate": rate, "kind": samples}
-    options |= {"peak_db": peak, "trim_db": trim}
-    options |= {"blend": velocity_blend, "resonance": resonance, "una_corda": una_corda}
-    given = {name: value for name, value in options.items() if value is not None}
-    if to not in (*SAMPLERS, *ENDINGS):
-        raise ParameterError(f"--format {to!r} must be one of {', '.join([*SAMPLERS, *ENDINGS])}")
-    _check_target(to, out, given if fill else given | {"no-fill": True}, force)
+    _check_target(to, out, _given(ctx, (*ExportOptions._fields, "fill")), force)
     chosen, loaded = parse_keys(keys), load_instrument(built, prefix, even)
     enable_program_cache()
     with progress_bar() as bar:
@@ -91,16 +87,24 @@ def export(
                 f"{counted(summary.modes, 'mode')}, {summary.bytes / 1e6:.1f} MB\n"
             )
         else:
-            wanted, sampled = (
-                ExportOptions(kind=SAMPLERS[to].kind)._replace(**given),
-                fill_gaps(chosen) if fill else chosen,
-            )
+            kind = SAMPLERS[to].kind if kind is None else kind
+            wanted = ExportOptions(layers, seconds, rate, kind, blend, resonance, una_corda, peak_db, trim_db)
+            sampled = fill_gaps(chosen) if fill else chosen
             summary = export_sampler(loaded, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampler_summary(summary, sorted({*sampled} - {*chosen}))
     print_result(summary._asdict(), f"{out}: {words}", as_json)
 
 
-def _check_target(to: str, out: Path, given: dict[str, Any], force: bool) -> None:
+def _given(ctx: typer.Context, names: Sequence[str]) -> list[str]:
+    """Return those of some arguments that the command line states, with their values."""
+    return [f"{name}={ctx.params[name]!r}" for name in names if _source(ctx, name) == "COMMANDLINE"]
+
+
+def _source(ctx: typer.Context, name: str) -> str:
+    return getattr(ctx.get_parameter_source(name), "name", "")
+
+
+def _check_target(to: str, out: Path, given: list[str], force: bool) -> None:
     """Check the name of the output, and reject sampler options for formats without samples."""
     name, ending = printable(out), ENDINGS.get(to)
     if ending is None:
@@ -108,8 +112,7 @@ def _check_target(to: str, out: Path, given: dict[str, Any], force: bool) -> Non
             raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
         return
     if given:
-        options = (OPTION_NAMES.get(name, f"--{name}") for name in given)
-        raise ParameterError(f"--format {to} has no samples; leave out {', '.join(options)}")
+        raise ParameterError(f"to={to!r} has no samples; leave out {', '.join(given)}")
     if out.suffix.lower() != ending:
         raise OutputError(f"{name}: --format {to} writes a file; give --out a name that ends in {ending}")
     check_target(out, force)

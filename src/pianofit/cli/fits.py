@@ -28,7 +28,7 @@ from ..progress import progress_bar
 from ..recording.recording import load_recording, load_recordings, readable_formats
 from ..setup import SETUP_KEYS, Setup
 from . import options
-from .options import choice, text, whole
+from .options import choice, integer, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 def analyse(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help=f"A recording of one struck or plucked note: {readable_formats()}.")
+        Path,
+        typer.Argument(metavar="RECORDING", help=f"A recording of one struck or plucked note: {readable_formats()}."),
     ],
     note: options.Note = None,
     f0: options.Pitch = None,
@@ -96,33 +97,33 @@ def fit(
     note: options.Note = None,
     f0: options.Pitch = None,
     setup: options.SetupFile = None,
-    velocity: options.Velocity = None,
+    velocity: Annotated[
+        float | None, real("M/S", "Hammer velocity of a single recording, in m/s.", default="estimated")
+    ] = None,
     channel: options.Channel = "average",
     felt: options.Felt = None,
     excitation: options.Excitation = None,
     quantity: options.Quantity = None,
     pickup: options.Pickup = None,
-    recipe: Annotated[
+    method: Annotated[
         str,
-        typer.Option(
-            parser=choice("default", "paper", "global"),
-            metavar="NAME",
-            help="Search: default, or a method of the paper for comparison, paper or global.",
+        choice(
+            "NAME",
+            "Search; paper and global are the paper's, for comparison",
+            ("default", "paper", "global"),
+            "--recipe",
         ),
     ] = "default",
     evaluations: Annotated[
         int | None,
-        typer.Option(
-            parser=whole, metavar="N", help="Evaluations of the criterion in the annealing of --recipe paper."
-        ),
+        integer("N", "Evaluations of the criterion in the annealing of --recipe paper.", default="20000"),
     ] = None,
     intervals: Annotated[
         str,
-        typer.Option(
-            parser=choice("laplace", "profile", "posterior"),
-            metavar="METHOD",
-            help="Method for intervals: laplace; profile, some seconds slower; or posterior, sampled by NUTS, which "
-            "takes minutes and needs the extra bayes.",
+        choice(
+            "METHOD",
+            "Method for intervals; profile takes some seconds more, and posterior (NUTS) minutes and the extra bayes",
+            ("laplace", "profile", "posterior"),
         ),
     ] = "laplace",
     seed: options.Seed = 0,
@@ -135,7 +136,7 @@ def fit(
 
     check_velocity(velocity)
     check_seed(seed)
-    _check_recipe(recipe, evaluations, intervals, len(recordings))
+    _check_method(method, evaluations, intervals, len(recordings))
     with output_folder(out, force) as folder, progress_bar() as progress:
         enable_program_cache()
         given: dict[str, Any] = {
@@ -147,27 +148,27 @@ def fit(
             "seed": seed,
             "progress": progress,
         }
-        if recipe == "default":
+        if method == "default":
             from ..fitting import fit as run
 
             result = run(*recordings, **given, intervals=intervals)
         else:
             from ..bensa2005 import fit as fit_by_paper
 
-            result = fit_by_paper(recordings[0], **given, method=recipe, evaluations=evaluations)
+            result = fit_by_paper(recordings[0], **given, method=method, evaluations=evaluations)
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
     print_result(result.fit, f"{result.summary()}\nwritten to {folder}\n", as_json)
 
 
-def _check_recipe(recipe: str, evaluations: int | None, intervals: str, recordings: int) -> None:
-    """Reject options that the recipe does not have."""
-    if evaluations is not None and recipe != "paper":
-        raise ParameterError(f"evaluations={evaluations} needs an annealing: use recipe='paper'")
-    if recipe != "default" and recordings > 1:
-        raise ParameterError(f"recipe={recipe!r} fits one recording; {recordings} were given")
-    if recipe != "default" and intervals != "laplace":
-        raise ParameterError(f"intervals={intervals!r} requires the default recipe; recipe={recipe!r} has no intervals")
+def _check_method(method: str, evaluations: int | None, intervals: str, recordings: int) -> None:
+    """Reject options that the search does not have."""
+    if evaluations is not None and method != "paper":
+        raise ParameterError(f"evaluations={evaluations} needs an annealing: use method='paper'")
+    if method != "default" and recordings > 1:
+        raise ParameterError(f"method={method!r} fits one recording; {recordings} were given")
+    if method != "default" and intervals != "laplace":
+        raise ParameterError(f"intervals={intervals!r} needs method='default'; method={method!r} has no intervals")
 
 
 def setup_of_options(
@@ -308,7 +309,7 @@ def _left_out_table(held_out: CrossValidation) -> str:
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="A fit: its folder, or its fit.json.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another fit.")],
-    out: Annotated[Path | None, text("FILE.SVG", "File for a figure of both felts: SVG, PNG or PDF.")] = None,
+    out: Annotated[Path | None, text("FILE", "Figure of both felts to write, .svg, .png or .pdf.")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:

@@ -19,7 +19,21 @@ from ..io.files import (
 )
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import RATE, Built, Even, Force, Json, Prefix, real, text
+from .options import (
+    RATE,
+    Built,
+    Even,
+    Force,
+    Json,
+    Prefix,
+    flag,
+    integer,
+    number_range,
+    parse_as,
+    parsed,
+    real,
+    text,
+)
 from .terminal import print_result
 
 PAGE = "piano.html"
@@ -32,7 +46,9 @@ def instrument(
     out: Annotated[Path, text("DIR", "Folder for instrument.json and instrument.html.")],
     prefix: Prefix = None,
     even: Even = 0.0,
-    name: Annotated[str | None, text("NAME", "Name of the instrument. Default: the prefix, or the folder.")] = None,
+    name: Annotated[
+        str | None, text("NAME", "Name of the instrument.", default="that of --prefix, or of the folder")
+    ] = None,
     page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
     force: Force = False,
     as_json: Json = False,
@@ -57,25 +73,26 @@ def instrument(
 def play(
     built: Built,
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
-    out: Annotated[Path, text("FILE.WAV|FLAC", "WAV or FLAC file to write.")],
+    out: Annotated[Path, text("FILE", "Sound file to write, .wav or .flac.")],
     prefix: Prefix = None,
     even: Even = 0.0,
     rate: Annotated[int, RATE] = 48_000,
-    gain: Annotated[float, real("DB", "Gain before the limiter, dB.")] = 0.0,
-    tempo: Annotated[float, real("FACTOR", "Speed over that of the file.")] = 1.0,
+    gain_db: Annotated[float, real("DB", "Gain before the limiter, dB.", "--gain")] = 0.0,
+    tempo: Annotated[float, real("FACTOR", "Speed, relative to that of the file.")] = 1.0,
     touch: Annotated[float, real("EXPONENT", "Exponent of the MIDI velocities: below 1 louder, above 1 softer.")] = 1.0,
     pedal_range: Annotated[
-        tuple[float, float],
-        typer.Option(
-            metavar="LOW HIGH", help="Half pedal: values of controller 64 at which dampers begin to lift, and are up."
+        Any,
+        parsed(
+            "LOW-HIGH",
+            "Half pedal: values of controller 64 at which dampers begin to lift, and are up.",
+            parse_as(number_range, "two values of controller 64, such as 24-64"),
         ),
-    ] = (24.0, 64.0),
+    ] = "24-64",
     resonance: Annotated[
-        float,
-        typer.Option(metavar="0...1", help="How much strings without a damper sound when others excite them."),
+        float, real("AMOUNT", "Sound of strings without a damper that others excite: 0 (none) to 1 (full).")
     ] = 0.3,
-    noise: Annotated[bool, typer.Option("--noise", help="Add the noise floor of the recordings.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the noise floor.")] = 0,
+    noise: Annotated[bool, flag("--noise-floor", "Add the noise floor of the recordings.")] = False,
+    seed: Annotated[int, integer("N", "Seed of the noise floor.")] = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -89,7 +106,7 @@ def play(
         loaded, notes = load_instrument(built, prefix, even), load_song(song)
         enable_program_cache()
         start = time.perf_counter()
-        options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed, gain, tempo, touch)
+        options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed, gain_db, tempo, touch)
         rendered = render_song(loaded, notes, rate, bar, options)
         elapsed = time.perf_counter() - start
     write_file(out, encode_pcm(rendered.samples, rate, out.suffix[1:].lower()), force)
@@ -128,12 +145,12 @@ def _play_summary(out: Path, info: dict[str, Any]) -> str:
 def page(
     built: Built,
     out: Annotated[
-        Path | None, text("FILE.HTML", f"HTML file to write. Default: {PAGE} next to the instrument.")
+        Path | None, text("FILE.HTML", "HTML file to write.", default=f"{PAGE} next to the instrument")
     ] = None,
     prefix: Prefix = None,
     even: Even = 0.0,
     recordings: Annotated[
-        bool, typer.Option("--recordings", help="Include the recordings in the page, to compare them with the keys.")
+        bool, flag("--recordings", "Include the recordings in the page, to compare them with the keys.")
     ] = False,
     force: Force = False,
     as_json: Json = False,

@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..progress import progress_bar
-from .options import Force, Json, number, text
+from .options import DryRun, Force, Json, Prefix, real, text
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ HEADER = f"{'':>4}{'start, s':>10}{'length, s':>10}  {'note':5}{'cents':>7}{'dB'
 
 
 def cut(
-    recording: Annotated[Path, typer.Argument(metavar="LONG.WAV", help="A recording of many single notes.")],
-    out: Annotated[Path | None, text("DIR", "Folder for one FLAC a stroke, and strokes.csv.")] = None,
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of many single notes.")],
+    out: Annotated[Path | None, text("DIR", "Folder for one FLAC per stroke, and strokes.csv.")] = None,
     pattern: Annotated[str, text("PATTERN", "Name of a file, with {note}, {layer} and {number}.")] = "{note}-L{layer}",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the strokes and write nothing.")] = False,
+    dry_run: DryRun = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Cut a long recording into one file a stroke, by onset, pitch and loudness. The recording is not changed."""
+    """Cut a long recording into one file per stroke, by onset, pitch and loudness. The recording is not changed."""
     from ..batch.cut_recording import cut_recording
 
     if dry_run == (out is not None):
@@ -51,43 +51,41 @@ def cut(
 
 
 def mend(
-    library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Manifest or folder, as for pianofit batch.")],
+    library: Annotated[
+        Path, typer.Argument(metavar="LIBRARY", help="A CSV, an SFZ file or a folder, as for pianofit batch.")
+    ],
     fits: Annotated[Path, text("DIR", "Folder that pianofit batch LIBRARY --out DIR wrote.")],
     out: Annotated[
         Path | None, text("DIR", "Folder for the mended recordings and changes.csv. Required without --dry-run.")
     ] = None,
     tails: Annotated[
         float,
-        typer.Option(
-            parser=number, metavar="S", help="Lengthen recordings to S seconds after the onset; 0 leaves them."
-        ),
+        real("S", "Lengthen recordings to S seconds after the onset; 0 leaves them."),
     ] = 10.0,
-    even: Annotated[
+    even_levels: Annotated[
         float,
-        typer.Option(
-            parser=number, metavar="0...1", help="Move the levels, and nothing else, towards the keyboard law."
-        ),
+        real("AMOUNT", "Move the levels, and nothing else, towards the keyboard law: 0 (as recorded) to 1 (wholly)."),
     ] = 0.0,
-    onsets: Annotated[
-        float, typer.Option(parser=number, metavar="0...1", help="Remove surplus silence before onsets.")
-    ] = 0.0,
+    onsets: Annotated[float, real("AMOUNT", "Remove surplus silence before onsets: 0 (none) to 1 (all).")] = 0.0,
     fill: Annotated[bool, typer.Option(help="Add layers and keys that were not recorded, in OUT/added.")] = True,
     keys: Annotated[
-        str | None, text("KEYS", "Keys to fill, such as A0-C8. Default: from the lowest recorded to the highest.")
+        str | None, text("KEYS", "Keys to fill, such as A0-C8.", default="from the lowest recorded to the highest")
     ] = None,
-    pattern: Annotated[str | None, text("PATTERN", "Form of the file names, as for pianofit batch.")] = None,
-    prefix: Annotated[str | None, text("NAME", "The instrument, if the library has several.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the changes and write nothing.")] = False,
+    pattern: Annotated[
+        str | None, text("PATTERN", "Form of the file names, as for pianofit batch.", default="guessed from the names")
+    ] = None,
+    prefix: Prefix = None,
+    dry_run: DryRun = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Lengthen and level the recordings of a fitted library, and fill its gaps. Originals are never changed."""
-    from ..export import parse_keys
+    from ..analysis.note_names import parse_keys
     from ..mend import MendOptions, mend_library
 
     if dry_run == (out is not None):
         raise ParameterError("give either --out DIR, or --dry-run to list the changes only")
-    options = MendOptions(tails, even, onsets, fill, None if keys is None else tuple(parse_keys(keys)))
+    options = MendOptions(tails, even_levels, onsets, fill, None if keys is None else tuple(parse_keys(keys)))
     with progress_bar() as bar:
         changes, remarks = mend_library(
             library, fits, out, options, pattern=pattern, prefix=prefix, force=force, progress=bar
@@ -99,7 +97,7 @@ def mend(
 
 
 def _every_change(changes: list[Change]) -> list[str]:
-    """Return one line a change."""
+    """Return one line per change."""
     rows = []
     for c in changes:
         numbers = ("" if x is None else f"{x:g}" for x in (c.before, c.after))

@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..io.files import output_folder
 from ..io.number_format import counted
 from ..parameters import check_seed
-from .options import Force, Json, Seed, integer, real, text
+from .options import Force, Json, Seed, flag, integer, real, text
 from .terminal import print_error, print_result
 
 
@@ -25,15 +25,15 @@ def listen(
     ] = None,
     out: Annotated[Path | None, text("DIR", "Folder for the page, listen.html, and its key.")] = None,
     reference: Annotated[
-        Path | None, text("R", "A third folder: the test also asks whether A or B is nearer to its sounds.")
+        Path | None, text("DIR", "A third folder: the test also asks whether A or B is nearer to its sounds.")
     ] = None,
     trials: Annotated[int, integer("N", "Number of questions of each kind, over all sounds.")] = 16,
     seconds: Annotated[float, real("S", "Length of each sound in seconds.")] = 4.0,
     seed: Seed = 0,
     exclude_invalid: Annotated[
-        bool, typer.Option("--exclude-invalid", help="Leave out sounds that fail a check, instead of stopping.")
+        bool, flag("--exclude-invalid", "Leave out sounds that fail a check, instead of stopping.")
     ] = False,
-    result: Annotated[list[Path], text("ANSWERS.json", "Count saved answers; may be given several times.")] = [],  # noqa: B006
+    result: Annotated[list[Path], text("ANSWERS.JSON", "Count saved answers; may be given several times.")] = [],  # noqa: B006
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -1,4 +1,8 @@
-"""Arguments and options that several commands share, with their help texts and parsers."""
+"""Arguments and options that several commands share, with their help texts and parsers.
+
+A metavar is a noun in capitals. Two alternatives are joined by |, and FILE.WAV is a file of that kind. Help texts name
+the unit. Defaults are those that typer shows.
+"""
 
 from __future__ import annotations
 
@@ -8,62 +12,94 @@ from typing import Annotated, Any
 
 import typer
 
-from ..excitation import NAMES
-from ..felt import LAWS
+from ..errors import check_range
+from ..excitation import HAMMER, NAMES
+from ..felt import DEFAULT_LAW, LAWS
 from ..recording.recording import readable_formats
+from ..threads import cores
 from ..transducer import QUANTITIES
+from .terminal import bare
 
 
 def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
-    """Return a parser that raises a usage error for an invalid text."""
+    """Return a parser that raises a usage error for an invalid text: it must be what the `words` say."""
 
     def parse(text: str) -> Any:
         try:
             return kind(text)
         except ValueError:
-            raise typer.BadParameter(f"{text!r} is not a {words}") from None
+            raise typer.BadParameter(f"{bare(text)} must be {words}") from None
 
     return parse
 
 
-number, whole = parse_as(float, "number"), parse_as(int, "whole number")
+def number_range(text: str) -> tuple[float, float]:
+    """Return the ends of a range of numbers, such as 40-70.
+
+    Raises
+    ------
+    ValueError
+        If the text is not two numbers with a hyphen between them.
+    """
+    low, _, high = text.partition("-")
+    return float(low), float(high)
 
 
-def text(metavar: str, words: str, *names: str) -> Any:
-    """Return an option for a text or a path, with its help `words`."""
-    return typer.Option(*names, metavar=metavar, help=words)
+def one_or_range(text: str) -> float | tuple[float, float]:
+    """Return a number, or the ends of a range of numbers. A hyphen at the beginning is a sign."""
+    return number_range(text) if "-" in text[1:] else float(text)
 
 
-def real(metavar: str, words: str, *names: str) -> Any:
+number, whole = parse_as(float, "a number"), parse_as(int, "a whole number")
+
+
+def text(metavar: str, words: str, *names: str, default: str = "") -> Any:
+    """Return an option for a text or a path, with its help `words`; `default` says what its absence means."""
+    return typer.Option(*names, metavar=metavar, help=words, show_default=default or True)
+
+
+def parsed(metavar: str, words: str, parser: Callable[[str], Any], *names: str, default: str = "") -> Any:
+    """Return an option whose text is parsed."""
+    return typer.Option(*names, parser=parser, metavar=metavar, help=words, show_default=default or True)
+
+
+def real(metavar: str, words: str, *names: str, default: str = "") -> Any:
     """Return an option for a number."""
-    return typer.Option(*names, parser=number, metavar=metavar, help=words)
+    return parsed(metavar, words, number, *names, default=default)
 
 
-def integer(metavar: str, words: str, *names: str) -> Any:
+def integer(metavar: str, words: str, *names: str, default: str = "") -> Any:
     """Return an option for a whole number."""
-    return typer.Option(*names, parser=whole, metavar=metavar, help=words)
+    return parsed(metavar, words, whole, *names, default=default)
 
 
-def choice(*words: str) -> Callable[[str], str]:
-    """Return a parser that accepts only these words."""
+def choice(metavar: str, words: str, choices: tuple[str, ...], *names: str, default: str = "") -> Any:
+    """Return an option that accepts only some words. Its help lists them."""
+    listed = " or ".join([", ".join(choices[:-1]), choices[-1]])
 
-    def parse(text: str) -> str:
-        if text not in words:
-            raise typer.BadParameter(f"{text!r} is not {' or '.join(words)}")
+    def member(text: str) -> str:
+        if text not in choices:
+            raise ValueError
         return text
 
-    return parse
+    return parsed(metavar, f"{words}: {listed}.", parse_as(member, listed), *names, default=default)
+
+
+def flag(name: str, words: str) -> Any:
+    """Return an option without a value, and without a form that negates it."""
+    return typer.Option(name, help=words)
 
 
 Built = Annotated[
     Path, typer.Argument(metavar="DIR|INSTRUMENT.JSON", help="The folder of a batch, or an instrument.json.")
 ]
-Prefix = Annotated[str | None, text("PREFIX", "Which instrument, if DIR has several, such as cp80.")]
+Prefix = Annotated[str | None, text("NAME", "Instrument to use if the folder holds several, such as cp80.")]
 Even = Annotated[
-    float, real("0...1", "Move recorded keys towards the laws in level, decay and brightness: 0 as fitted, 1 wholly.")
+    float,
+    real("AMOUNT", "Move recorded keys towards the laws in level, decay and brightness: 0 (as fitted) to 1 (wholly)."),
 ]
 Note = Annotated[
-    str | None, text("NOTE", "Note: F#2, Fs2, Gb2 or its MIDI number, 42. Default: detected in the recording.")
+    str | None, text("NOTE", "Note: F#2, Fs2, Gb2 or its MIDI number, 42.", default="detected in the recording")
 ]
 Pitch = Annotated[float | None, real("HZ", "Pitch of the note in Hz, instead of --note.", "--f0")]
 Channel = Annotated[str, text("CHANNEL", "Channel of the file: average, left, right, or a number from 1.")]
@@ -82,22 +118,28 @@ SetupFile = Annotated[
     ),
 ]
 Sound = Annotated[Path, text("FILE.WAV", "WAV file to write.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Felt = Annotated[str | None, typer.Option(parser=choice(*LAWS), metavar="LAW", help=f"Felt law: {', '.join(LAWS)}.")]
+Json = Annotated[bool, flag("--json", "Print the result as JSON.")]
+# The default in brackets holds if neither an option nor the setup states the value.
+Felt = Annotated[str | None, choice("LAW", "Felt law", tuple(LAWS), default=f"that of --setup, or {DEFAULT_LAW.name}")]
 Excitation = Annotated[
-    str | None,
-    typer.Option(parser=choice(*NAMES), metavar="KIND", help=f"Excitation of the string: {' or '.join(NAMES)}."),
+    str | None, choice("KIND", "Excitation of the string", NAMES, default=f"that of --setup, or {HAMMER}")
 ]
 Quantity = Annotated[
-    str | None,
-    typer.Option(parser=choice(*QUANTITIES), metavar="QUANTITY", help=f"Recorded quantity: {', '.join(QUANTITIES)}."),
+    str | None, choice("QUANTITY", "Recorded quantity", QUANTITIES, default="that of --setup, or pressure")
 ]
-Pickup = Annotated[
-    float | None, real("M", "Position of a pickup on the string, m from the end that the strike position counts from.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Replace existing output in --out.")]
-Velocity = Annotated[float | None, real("M/S", "Hammer velocity in m/s.")]
+PICKUP = "Position of a pickup on the string, m from the agraffe."
+Pickup = Annotated[float | None, real("M", PICKUP, default="that of --setup")]
+Force = Annotated[bool, flag("--force", "Replace existing output in --out.")]
 Seed = Annotated[int, integer("N", "Seed of all random numbers. The same seed gives the same result.")]
 Seconds = Annotated[float, real("S", "Length of the sound in seconds.")]
+Processes = Annotated[int | None, integer("N", "Number of processes.", default="one per core")]
+DryRun = Annotated[bool, flag("--dry-run", "List what would be done, and write nothing.")]
 # For an int, or for None where a fit has its own rate.
 RATE = integer("HZ", "Sample rate in Hz.", "--rate")
+MOST_PROCESSES = 256
+
+
+def process_count(processes: int | None) -> int:
+    """Return the number of processes, one per core by default, or raise a `ParameterError`."""
+    check_range("processes=", 1 if processes is None else processes, 1, MOST_PROCESSES)
+    return processes or cores()

@@ -22,7 +22,7 @@ from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, dataset, export, fits, instrument, library, listening, sounds, tuning
 from .options import Force, Json, Seed, real
-from .terminal import add, print_error, print_result
+from .terminal import Commands, UsageError, add, print_error, print_result, usage_message
 
 if TYPE_CHECKING:
     from ..result import Result
@@ -36,15 +36,13 @@ WIDEST, UNBROKEN = 120, 10_000
 COLLECTED = 50_000
 
 app = typer.Typer(
+    cls=Commands,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
     epilog="pianofit COMMAND --help lists the arguments of a command, with an example.",
     help="Estimate physical parameters of struck strings from recordings, and synthesise sound from them.",
 )
-
-# Base of click's usage errors; typer has a private copy of click.
-UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 def _version(wanted: bool) -> None:
@@ -66,12 +64,15 @@ def _all(
 
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write to.")] = Path("pianofit-demo"),
-    noise: Annotated[float, real("DB", "Level of the noise below the rms of the first second, dB.")] = 60.0,
+    noise: Annotated[float, real("DB", "White noise, dB below the rms of the first second.")] = 60.0,
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Fit a synthetic recording, starting from the initial values of the paper, and compare with the true values."""
+    """Fit a synthetic recording, starting from the initial values of the paper, and compare with the true values.
+
+    Writes report.html, synthetic.wav and setup.toml. Takes about a minute.
+    """
     check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
@@ -108,30 +109,41 @@ def _true_and_fitted(result: Result, true: dict[str, float]) -> str:
     return "\n".join(lines) + "\n"
 
 
-# In the order of the help, each with the example of its own help.
+# By heading of the help and in its order, each command with the example of its own help.
 COMMANDS = {
-    fits.analyse: "pianofit analyse note.wav --note F#2",
-    fits.fit: "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted",
-    fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
-    fits.cross_validate: "pianofit cross-validate soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
-    fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
-    library.cut: "pianofit cut session.wav --out library",
-    library.mend: "pianofit mend library.csv --fits library --out mended",
-    batch.batch: "pianofit batch library.csv --out library",
-    batch.status: "pianofit status library",
-    instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",
-    instrument.play: "pianofit play cp80/instrument.json song.mid --out song.wav",
-    instrument.page: "pianofit page library --prefix cp80",
-    tuning.tuning: "pianofit tuning library --a4 442 --octave 4:2 --out tuned",
-    export.export: "pianofit export cp80/instrument.json --format sfz --out sampler",
-    dataset.dataset: "pianofit dataset --out notes --count 10000 --seed 1 --keys C2..C6 --path --noise 40..70",
-    sounds.simulate: "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav",
-    sounds.render: "pianofit render fitted/fit.json --velocity 3 --out harder.wav",
-    listening.listen: "pianofit listen recorded fitted --out test",
-    demo: "pianofit demo --out demo",
+    "One note": {
+        fits.analyse: "pianofit analyse note.wav --note F#2",
+        fits.fit: "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted",
+        fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
+        fits.cross_validate: "pianofit cross-validate soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
+        fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
+        sounds.render: "pianofit render fitted/fit.json --velocity 3 --out harder.wav",
+    },
+    "A library": {
+        library.cut: "pianofit cut session.wav --out library",
+        library.mend: "pianofit mend library.csv --fits library --out mended",
+        batch.batch: "pianofit batch library.csv --out library",
+        batch.status: "pianofit status library",
+    },
+    "An instrument": {
+        instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",
+        instrument.play: "pianofit play cp80/instrument.json song.mid --out song.wav",
+        instrument.page: "pianofit page library --prefix cp80",
+        export.export: "pianofit export cp80/instrument.json --format sfz --out sampler",
+        tuning.tuning: "pianofit tuning library --a4 442 --octave 4:2 --out tuned",
+    },
+    "Synthesis and data": {
+        sounds.simulate: "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav",
+        dataset.dataset: "pianofit dataset --out notes --count 10000 --seed 1 --keys C2-C6 --path --noise 40-70",
+    },
+    "Tests": {
+        listening.listen: "pianofit listen recorded fitted --out test",
+        demo: "pianofit demo --out demo",
+    },
 }
-for command, example in COMMANDS.items():
-    add(app, command, example)
+for heading, commands in COMMANDS.items():
+    for command, example in commands.items():
+        add(app, command, example, heading)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,8 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return app(args=list(arguments) or ["--help"], prog_name="pianofit", standalone_mode=False) or 0
     except UsageError as error:
-        command = getattr(getattr(error, "ctx", None), "command_path", "pianofit")
-        print_error(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
+        print_error(usage_message(error))
         return 2
     except OSError as error:
         if error.errno not in DISK_FULL or error.filename is not None:

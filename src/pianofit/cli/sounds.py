@@ -11,8 +11,8 @@ from ..errors import ParameterError
 from ..felt import ALL_PARAMETERS, make_hammer
 from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
-from ..transducer import ON_STRING, TRANSDUCERS
-from .options import RATE, Force, Seconds, Seed, Sound, Velocity, real, text
+from ..transducer import ON_STRING, QUANTITIES, TRANSDUCERS
+from .options import PICKUP, RATE, Force, Seconds, Seed, Sound, choice, integer, real, text
 
 if TYPE_CHECKING:
     from ..literature import Preset
@@ -24,26 +24,31 @@ def simulate(
     preset: Annotated[
         str | None, text("NAME", "A published string and hammer, such as bensa-final. An unknown name lists all.")
     ] = None,
-    typical: Annotated[
-        str | None, text("NOTE", "Instead of --preset: typical string and hammer of a key, such as C4.")
+    note: Annotated[
+        str | None, text("NOTE", "Instead of --preset: typical string and hammer of a key, such as C4.", "--typical")
     ] = None,
     change: Annotated[
         list[str], text("NAME=NUMBER", "A parameter to change; may be given several times.", "--set")
     ] = [],  # noqa: B006
-    velocity: Velocity = None,
+    velocity: Annotated[float | None, real("M/S", "Hammer velocity in m/s.", default="that of the preset")] = None,
     seconds: Seconds = 3.0,
     rate: Annotated[int, RATE] = 44_100,
-    quantity: Annotated[
-        str, text("QUANTITY", "Quantity of the pickup: velocity, displacement or bridge-force.")
-    ] = "bridge-force",
-    strike: Annotated[float | None, real("M", "Strike position, m from the agraffe.")] = None,
-    pickup: Annotated[
-        float | None, real("M", "Position of a velocity or displacement pickup, m from the agraffe.")
+    quantity: Annotated[str, choice("QUANTITY", "Quantity of the pickup", QUANTITIES)] = "bridge-force",
+    strike: Annotated[
+        float | None, real("M", "Strike position, m from the agraffe.", default="that of the preset")
     ] = None,
+    pickup: Annotated[float | None, real("M", PICKUP, default="that of the preset")] = None,
     scale: Annotated[
-        float | None, real("X", "m/s, m or N at digital full scale. Default: the peak is at -1 dBFS.")
+        float | None,
+        real(
+            "VALUE",
+            "Value at digital full scale, in the unit of --quantity: m/s, m or N.",
+            default="the peak is at -1 dBFS",
+        ),
     ] = None,
-    noise: Annotated[float | None, real("DB", "Level of white noise below the rms of the first second, dB.")] = None,
+    noise_db: Annotated[
+        float | None, real("DB", "White noise, dB below the rms of the first second.", "--noise", default="none")
+    ] = None,
     seed: Seed = 0,
     setup_out: Annotated[
         Path | None, text("SETUP.TOML", "Also write the setup for a calibrated fit of the sound.")
@@ -55,7 +60,7 @@ def simulate(
     if setup_out is not None:
         check_target(setup_out, force)
         if setup_out.resolve() == out.resolve():
-            raise ParameterError(f"setup-out={printable(setup_out)} is also --out; give another name")
+            raise ParameterError(f"--setup-out {printable(setup_out)} is also --out; give another name")
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
     from ..report.summary import contact_text
@@ -63,9 +68,9 @@ def simulate(
 
     check_render(velocity, seconds, rate)
     enable_program_cache()
-    string, hammer, geometry = _apply_changes(_load_preset(preset, typical), change, velocity)
+    string, hammer, geometry = _apply_changes(_load_preset(preset, note), change, velocity)
     geometry = _apply_positions(geometry, quantity, strike, pickup)
-    sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise, "seed": seed}
+    sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise_db, "seed": seed}
     recording = synthetic_recording(string, hammer, geometry, **sizes, name=out.name)
     write_file(out, encode_wav(recording.samples, rate), force)
     if setup_out is not None:
@@ -77,16 +82,15 @@ def simulate(
     )
 
 
-def _load_preset(preset: str | None, typical: str | None) -> Preset:
+def _load_preset(preset: str | None, note: str | None) -> Preset:
     """Return the preset or the typical note. Exactly one of them must be given."""
     from .. import literature
 
-    if preset is not None and typical is None:
+    if preset is not None and note is None:
         return literature.preset(preset)
-    if typical is not None and preset is None:
-        return literature.typical(typical)
-    count = "none is" if preset is None else "both are"
-    raise typer.BadParameter(f"give --preset NAME or --typical NOTE; {count} given")
+    if note is not None and preset is None:
+        return literature.typical(note)
+    raise typer.BadParameter(f"give --preset NAME or --typical NOTE{'' if preset is None else ', not both'}")
 
 
 def _apply_changes(preset: Preset, change: list[str], velocity: float | None) -> tuple[String, Any, Geometry]:
@@ -131,12 +135,12 @@ def _assignments(change: list[str]) -> dict[str, float]:
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json.")],
     out: Sound,
-    velocity: Annotated[float | None, real("M/S", "Hammer velocity in m/s; a hammer needs it.")] = None,
+    velocity: Annotated[float | None, real("M/S", "Hammer velocity in m/s; required for a struck string.")] = None,
     position: Annotated[
-        float | None, real("M", "Plucking position, m from the nearer end. Default: as fitted.")
+        float | None, real("M", "Plucking position, m from the nearer end.", default="as fitted")
     ] = None,
     seconds: Seconds = 6.0,
-    rate: Annotated[int | None, RATE] = None,
+    rate: Annotated[int | None, integer("HZ", "Sample rate in Hz.", default="that of the recordings")] = None,
     force: Force = False,
 ) -> None:
     """Synthesise a fitted note at any velocity or plucking position, with its gain and output path."""
@@ -173,7 +177,7 @@ def _with_stroke(note: Note, velocity: float | None, position: float | None) -> 
         if given is not None:
             raise ParameterError(f"{other} {given:g}: this fit has no such parameter; use {option}")
     if value is None and stroke.name == "v_H0":
-        raise ParameterError("velocity=: a fitted hammer needs --velocity, m/s")
+        raise ParameterError("a fitted hammer needs --velocity, in m/s")
     played = note if value is None else note.with_stroke(value)
     check_geometry(played.geometry, played.quantity)
     return (

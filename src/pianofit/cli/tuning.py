@@ -25,14 +25,10 @@ def tuning(
     ],
     out: Annotated[Path | None, text("DIR", "Folder for page, CSV, JSON and the file of Entropy Piano Tuner.")] = None,
     prefix: Prefix = None,
-    a4: Annotated[float, real("HZ", "Frequency of partial 1 of A4 in Hz; default 440.", "--a4")] = A4,
+    a4: Annotated[float, real("HZ", "Frequency of partial 1 of A4 in Hz.", "--a4")] = A4,
     octave: Annotated[
         str,
-        typer.Option(
-            parser=choice("2:1", "4:2", "6:3"),
-            metavar="TYPE",
-            help="Octave type of the target: 2:1, 4:2 (default) or 6:3.",
-        ),
+        choice("TYPE", "Octave type of the target", ("2:1", "4:2", "6:3")),
     ] = "4:2",
     force: Force = False,
     as_json: Json = False,

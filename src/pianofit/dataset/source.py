@@ -48,7 +48,9 @@ def check_options(options: NoteOptions) -> None:
         check_type(f"{name}=", getattr(options, name), bool, "True or False")
     low, high = noise_range(options) or (0.0, 0.0)
     check_range("noise_db=", low, 0.0, MAX_NOISE_DB, " dB")
-    check_range("noise_db=", high, low, MAX_NOISE_DB, " dB")
+    check_range("noise_db=", high, 0.0, MAX_NOISE_DB, " dB")
+    if low > high:
+        raise ParameterError(f"noise_db={options.noise_db!r} must have the lower level first")
     if options.modal_response and options.around is None:
         raise ParameterError("modal_response=True needs around=, a fit or an instrument with measured modes")
 
@@ -82,7 +84,7 @@ def load_source(options: NoteOptions) -> Source:
     chosen = {midi: own[midi] for midi in range(low, high + 1) if midi in own}
     if not chosen:
         span = f"{midi_to_note(min(own))} to {midi_to_note(max(own))}"
-        raise ParameterError(f"keys={first}..{last}: choose keys from low to high, within {span}")
+        raise ParameterError(f"keys='{first}-{last}' must be from low to high, within {span}")
     if options.modal_response and (missing := [m for m, note in chosen.items() if note.modal_response is None]):
         name, count = printable(options.around), len(missing)
         raise ParameterError(

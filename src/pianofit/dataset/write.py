@@ -47,7 +47,7 @@ FORMATS: dict[SoundFormat, str] = {
 }
 # Limits of one process, and of one block in it: a block takes seconds.
 MEMORY, TIME_LIMIT = 3 * 2**30, 3600.0  # bytes, s
-MAX_JOBS = 256
+MAX_PROCESSES = 256
 POLL = 0.5  # s between two reports of progress
 
 
@@ -89,7 +89,7 @@ def write_dataset(
     seed: int = 0,
     options: NoteOptions | None = None,
     format: SoundFormat = "flac",  # noqa: A002
-    jobs: int = 1,
+    processes: int = 1,
     progress: Progress | bool | None = None,
 ) -> DatasetSummary:
     """Write labelled synthetic notes as sound files and one table of parameters.
@@ -104,7 +104,7 @@ def write_dataset(
     seed : seed of all random numbers.
     options : see `NoteOptions`.
     format : "flac" (24 bit), "wav" (32 bit floats) or "npz" (float32, one archive a block).
-    jobs : number of processes. With more than one, call this function from the main module of a program.
+    processes : number of processes. With more than one, call this function from the main module of a program.
     progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal.
 
     Returns
@@ -130,8 +130,8 @@ def write_dataset(
     began, options = time.monotonic(), options or NoteOptions()
     check_count(count)
     check_seed(seed)
-    check_type("jobs=", jobs, int, "a whole number of processes")
-    check_range("jobs=", jobs, 1, MAX_JOBS)
+    check_type("processes=", processes, int, "a whole number of processes")
+    check_range("processes=", processes, 1, MAX_PROCESSES)
     if format not in FORMATS:
         raise ParameterError(f"format={format!r} must be one of {', '.join(FORMATS)}")
     path_name(folder)
@@ -152,7 +152,7 @@ def write_dataset(
         missing = [block for block in _blocks(record) if not _is_complete(path, block, options.layers)]
         made = 0
         report("notes", 0.0)
-        for block, files in _made(missing, jobs, path):
+        for block, files in _made(missing, processes, path):
             _commit(path, block.key, files)
             made += len(range(*block.numbers))
             report("notes", 1 - (sum(len(range(*b.numbers)) for b in missing) - made) / count)
@@ -255,14 +255,14 @@ def _write_table(path: Path, record: DatasetFile) -> None:
 # --- blocks -----------------------------------------------------------------------------------------------------------
 
 
-def _made(missing: list[_Block], jobs: int, path: Path) -> Iterator[tuple[_Block, dict[str, bytes]]]:
+def _made(missing: list[_Block], processes: int, path: Path) -> Iterator[tuple[_Block, dict[str, bytes]]]:
     """Yield every block with its files, as they are made: in this process, or in several."""
-    if jobs == 1:
+    if processes == 1:
         for block in missing:
             yield block, _files(block)
         return
     queue = missing[::-1]
-    with ProcessPool(min(jobs, len(missing) or 1), MEMORY, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
+    with ProcessPool(min(processes, len(missing) or 1), MEMORY, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
         while queue or pool.pending:
             while queue and pool.pending < pool.capacity:
                 pool.submit(queue.pop())

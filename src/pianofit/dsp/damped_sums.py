@@ -1,7 +1,7 @@
 """Sums of damped exponentials on an even grid, and the transforms that are their transposes.
 
 Time is divided into blocks. z^n at the start of a block times z^n within a block is one matrix product, without an
-exponential per sample. `model/damped_sums.py` has the same sums with derivatives.
+exponential per sample. `model/differentiable_sums.py` has the same sums with derivatives.
 """
 
 from __future__ import annotations

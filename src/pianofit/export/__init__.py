@@ -1,7 +1,6 @@
 """Export of an instrument to other programs: samplers (SFZ, Decent Sampler) and Faust."""
 
 from .formats import SAMPLERS
-from .layers import parse_keys
 from .sampler import ExportOptions, ExportSummary, export_sampler
 
-__all__ = ["SAMPLERS", "ExportOptions", "ExportSummary", "export_sampler", "parse_keys"]
+__all__ = ["SAMPLERS", "ExportOptions", "ExportSummary", "export_sampler"]

@@ -15,16 +15,14 @@ player: (1 - t) a + t b, which every program with crossfades knows. `plain` play
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ..analysis.note_names import midi_to_note, note_to_midi
+from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
-from ..errors import AnalysisError, ParameterError
 from ..instrument.dampers import LAST_DAMPER
 
 # MIDI velocities of strokes.
@@ -79,45 +77,6 @@ class SamplerContent(NamedTuple):
     keys: Sequence[SampledKey]
     releases: Sequence[ReleaseSample]
     blend: str  # one of `BLENDS`
-
-
-def parse_keys(text: str) -> list[int]:
-    """Parse keys from a command line.
-
-    Parameters
-    ----------
-    text : A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a comma-separated mixture.
-
-    Returns
-    -------
-    MIDI keys, ascending.
-
-    Raises
-    ------
-    ParameterError
-        Names the part that is not a key.
-
-    Examples
-    --------
-    >>> from pianofit.export import parse_keys
-    >>> parse_keys("C2,E2-G2")
-    [36, 40, 41, 42, 43]
-    """
-    keys: set[int] = set()
-    for part in (piece.strip() for piece in text.split(",")):
-        every = re.fullmatch(r"every\s+([1-9]\d?)", part)
-        ends = part.split("-")
-        try:
-            if every:
-                keys.update(range(LOWEST_KEY, HIGHEST_KEY + 1, int(every[1])))
-                continue
-            low, high = (note_to_midi(end) for end in (ends if len(ends) == 2 else [part, part]))
-        except AnalysisError:
-            raise ParameterError(f"--keys {text!r}: {part!r} is not a key; write C2,E2 or A0-C8 or 'every 3'") from None
-        if not LOWEST_KEY <= low <= high <= HIGHEST_KEY:
-            raise ParameterError(f"--keys {text!r}: {part!r} must be within A0 to C8, lower key first")
-        keys.update(range(low, high + 1))
-    return sorted(keys)
 
 
 def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:

@@ -166,19 +166,19 @@ def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions, 
     check_range("layers=", options.layers, 1, LOUDEST)
     if options.blend != "curves" and options.layers == 1:
         raise ParameterError(
-            f"layers=1 with blend={options.blend!r} has one level only; give 2 or more layers, or blend=curves"
+            f"layers=1 with blend={options.blend!r} has one level only; give 2 or more layers, or blend='curves'"
         )
     check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
     check_range("seconds=", options.seconds, 0.1, 120)
     check_range("peak_db=", options.peak_db, -60.0, 0.0, " dB")
     check_range("trim_db=", options.trim_db, 20.0, 200.0, " dB")
     if options.kind not in KINDS:
-        raise ParameterError(f"samples={options.kind!r} must be one of {', '.join(KINDS)}")
+        raise ParameterError(f"kind={options.kind!r} must be one of {', '.join(KINDS)}")
     samples = options.layers * (1 + options.una_corda) + options.resonance
     if len(keys) * samples * options.seconds > MOST_SAMPLE_SECONDS:
         raise ParameterError(
             f"{len(keys)} keys × {samples} samples × {options.seconds:g} s "
-            f"are more than {MOST_SAMPLE_SECONDS:,.0f} s; ask for fewer --layers, --keys or --seconds"
+            f"are more than {MOST_SAMPLE_SECONDS:,.0f} s; choose fewer layers= or keys=, or shorter seconds="
         )
     if not keys:
         raise ParameterError("keys=[]: give the MIDI keys to sample")

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from ..io.number_format import summary
 from ..parameters import Number, Parameter
-from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
+from .published import COLUMNS, published_parameter
 
 
 class RelaxingHammer(NamedTuple):

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..io.number_format import summary
 from ..parameters import Number, Parameter
-from .hunt_crossley import COLUMNS, published_parameter
 from .law import FeltLaw
+from .published import COLUMNS, published_parameter
 
 # Nodes and weights on 0 to 1 of the stored energy. Its integrand is smooth: 24 nodes give 9 digits.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)

@@ -11,14 +11,14 @@ from ..progress import Progress
 from . import priors
 from .batched_model import run_in_batches, string_law
 from .derivatives import LatentPosterior
-from .estimate import InferenceResult, check_intervals, map_estimate, run_inference
 from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
-from .objective_function import RecordingObjective, objective_of
 from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
+from .recording_objective import RecordingObjective, objective_of
+from .run_inference import InferenceResult, check_intervals, map_estimate, run_inference
 
 __all__ = [
     "KNOCK",

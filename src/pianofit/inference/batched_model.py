@@ -23,7 +23,7 @@ from ..conversions import CENTS, DB
 from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
 from ..excitation import GEOMETRY_FIELDS
 from ..model.excite import signal_state
-from ..model.knock import add_probes, knock_level
+from ..model.knock_force import add_probes, knock_level
 from ..model.modes import mode_table
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES

@@ -25,7 +25,7 @@ from ..errors import SetupError
 from ..excitation import GEOMETRY_FIELDS, Excitation
 from ..excitation.hammer import GAIN_DEVIATION, PATH
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW
-from ..felt.hunt_crossley import HAMMER_SD as HAMMER_SD  # keyboard laws remove it, and do not import `inference`
+from ..felt.published import HAMMER_SD as HAMMER_SD
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..setup import Setup

@@ -70,13 +70,9 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
         name = prefix or instrument_name(files[0]) or path.resolve().name
         return build_instrument(load_keys(files), printable(name), even, load_extras([path], instrument_name(files[0])))
     if prefix is not None:
-        raise ParameterError(
-            f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
-        )
+        raise ParameterError(f"prefix={short_repr(prefix)}: {printable(path)} is a finished instrument; leave it out")
     if even:
-        raise ParameterError(
-            f"--even {even:g} acts on fits, and {printable(path)} holds an instrument that is built; give its fits"
-        )
+        raise ParameterError(f"even={even:g}: {printable(path)} is a finished instrument; give the folder of its fits")
     record, name = read_instrument_file(file), printable(file)
     keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
     keys = with_guessed_responses(keys, record.laws)

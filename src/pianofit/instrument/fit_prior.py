@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..felt import LAWS
-from ..felt.hunt_crossley import HAMMER_SD
 from ..felt.law import FeltLaw
+from ..felt.published import HAMMER_SD
 from ..schema.fit import Fit, Minimum
 
 # Standard deviation of the new prior over that of the old one. The keyboard's own priors are as wide as the old one.

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
-from ..dsp.knock import BAND
+from ..dsp.knock_band import BAND
 from ..dsp.level import level_energy
 from ..model.modal_response import ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights

@@ -59,14 +59,14 @@ class MendOptions(NamedTuple):
     Parameters
     ----------
     tails : length after the onset to which recordings are lengthened, s; 0 leaves all as they are.
-    even : how far levels are moved to an even keyboard, from 0 (not at all) to 1.
+    even_levels : how far levels are moved to an even keyboard, from 0 (not at all) to 1.
     onsets : how far surplus silence before an onset is removed, from 0 (not at all) to 1.
     fill : whether to add the layers and keys that were not recorded.
     keys : MIDI numbers of the keys to fill; None for all from the lowest recorded one to the highest.
     """
 
     tails: float = 10.0
-    even: float = 0.0
+    even_levels: float = 0.0
     onsets: float = 0.0
     fill: bool = True
     keys: tuple[int, ...] | None = None
@@ -74,7 +74,7 @@ class MendOptions(NamedTuple):
     def check(self) -> MendOptions:
         """Return the options, or raise a `ParameterError` for one out of range."""
         check_range("tails=", self.tails, 0.0, 120.0, " s")
-        check_range("even=", self.even, 0.0, 1.0)
+        check_range("even_levels=", self.even_levels, 0.0, 1.0)
         check_range("onsets=", self.onsets, 0.0, 1.0)
         for key in self.keys or ():
             check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
@@ -217,9 +217,9 @@ def _mended(
     """Yield all sounds of the mended library."""
     notes, layouts = list(_notes(library.keys)), Counter[tuple[int, int, int, str]]()
     several = any(sample.group for _, sample in notes)
-    if several and (options.fill or options.even):
+    if several and (options.fill or options.even_levels):
         remarks.append("the library has several microphones; sounds are not added and levels stay as they are")
-    gains, common = _gains(library, options.even) if options.even and not several else ({}, 0.0)
+    gains, common = _gains(library, options.even_levels) if options.even_levels and not several else ({}, 0.0)
     if common < 0:
         remarks.append(f"all levels are lowered by {-common:.1f} dB, so that the loudest stays below full scale")
     for i, (key, sample) in enumerate(notes):
@@ -358,8 +358,9 @@ def _filled(
         sound = np.atleast_2d(key.note.render(velocity, seconds=seconds, rate=rate, mono=channels == 1))
         if len(sound) not in (1, channels):
             sound = sound.mean(axis=0, keepdims=True)
-        level = even_level(library.instrument, midi, library.laws[layer]) if options.even else 0.0
-        gain = common + options.even * (level - stroke_level(key.note, velocity) if options.even else 0.0)
+        amount = options.even_levels
+        level = even_level(library.instrument, midi, library.laws[layer]) if amount else 0.0
+        gain = common + amount * (level - stroke_level(key.note, velocity) if amount else 0.0)
         sound, limited = limit_peak(10 ** (gain / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
         note = midi_to_note(midi)
         name = "-".join(part for part in (library.keys[0].instrument, note.replace("#", "s"), layer) if part)

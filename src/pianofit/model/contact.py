@@ -17,17 +17,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float
 
 from ..errors import ParameterError
 from ..felt.steps import compression, force, memory_weights, update_relaxation
 from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
-from ..x64 import AnyArray, derivative, float64
-from .damped_sums import BLOCK, real_powers, sum_damped_exponentials
+from ..x64 import AnyArray, float64
+from .differentiable_sums import BLOCK, real_powers, sum_damped_exponentials
 from .free_motion import FreeMotion, free_motion
 from .modes import ComplexModes, Modes, RealModesLike
+from .past_forces import advance_drive, displacement_of_modes, product
 
 
 class Pulse(NamedTuple):
@@ -240,13 +240,12 @@ def _until_over(
 
     def advance_block(state):
         count, carry, _, outputs, previous, energy, _ = state
-        carry, (*forces, u, y, v) = block(carry, jnp.zeros(BLOCK))
-        string, at = y - u, (1 + count * BLOCK,)
-        energy = energy + 0.5 * (forces[0] * (string - jnp.append(previous, string[:-1]))).sum()
-        history = (*forces, u, y, v)
-        outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, history, strict=False))
-        over = _cannot_return(modes, u[-1], y[-1], v[-1], energy)
-        return count + 1, carry, u[-1] <= 0, outputs, string[-1], energy, over
+        carry, new = block(carry, jnp.zeros(BLOCK))
+        string, at = new.y - new.u, (1 + count * BLOCK,)
+        energy = energy + 0.5 * (new.drive * (string - jnp.append(previous, string[:-1]))).sum()
+        outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, new, strict=False))
+        over = _cannot_return(modes, new.u[-1], new.y[-1], new.v[-1], energy)
+        return count + 1, carry, new.u[-1] <= 0, outputs, string[-1], energy, over
 
     no = jnp.asarray(False)
     initial = (0, ((advanced.real, advanced.imag), first), no, outputs, under, free.energy, no)
@@ -262,6 +261,27 @@ def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *en
     compliance = (modes.strike * modes.modal_gain / modes.omega2).sum()
     reach = sum(jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance) for energy in energies)
     return (u <= 0) & (v_hammer <= 0) & (y_hammer + reach <= 0)
+
+
+class HammerState(NamedTuple):
+    """The hammer after a step; symbols as in the module."""
+
+    u: Array
+    w: Array
+    f: Array
+    y: AnyArray
+    v: AnyArray
+    memory: Array | None
+
+
+class StepOutputs(NamedTuple):
+    """What a step adds to a pulse."""
+
+    drive: Array  # T, N
+    force: Array  # N
+    u: Array
+    y: AnyArray
+    v: AnyArray
 
 
 def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows, computed_powers=None):
@@ -283,17 +303,32 @@ def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | flo
     powers = (log_z, *(real_powers(log_z, BLOCK + 1, 1) if computed_powers is None else computed_powers))
     z_block = jnp.exp(BLOCK * log_z)
     block_factor, unit = (z_block.real, z_block.imag), (unit.real, unit.imag)
-    g = _history(modes.strike * unit[0], modes.strike * unit[1], powers)
+    g = displacement_of_modes(modes.strike * unit[0], modes.strike * unit[1], powers)
     reversed_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
     c = a**2 / hammer.M_H + g[0]
     weights = memory_weights(hammer, modes.step)
 
+    def displacement_by_modes(earlier):
+        return displacement_of_modes(modes.strike * earlier[0], modes.strike * earlier[1], powers)
+
+    def append_to_modes(earlier, recent):
+        decayed, added = product(earlier, block_factor), product(unit, advance_drive(recent, powers))
+        return decayed[0] + added[0], decayed[1] + added[1]
+
+    def displacement_by_rows(earlier):
+        return earlier[:BLOCK]
+
+    def append_to_rows(earlier, recent):
+        return jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows
+
+    # What the forces of earlier blocks leave: complex amplitudes of the modes, or the future displacement.
+    displacement_after, append_forces = (
+        (displacement_by_modes, append_to_modes) if rows is None else (displacement_by_rows, append_to_rows)
+    )
+
     def block(carry, under):
-        earlier, state = carry
-        if rows is None:
-            past = under + _history(modes.strike * earlier[0], modes.strike * earlier[1], powers)
-        else:
-            past = under + earlier[:BLOCK]
+        earlier, first = carry
+        past = under + displacement_after(earlier)
 
         def advance(carry, i):
             recent, (u, w, f, y, v, memory) = carry
@@ -306,18 +341,16 @@ def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | flo
             t = f_new + f
             v_new = v - a / hammer.M_H * t
             y_new = y + a * (v + v_new)
-            return (recent.at[i].set(t), (u_new, w_new, f_new, y_new, v_new, memory)), (t, f_new, u_new, y_new, v_new)
+            new = HammerState(u_new, w_new, f_new, y_new, v_new, memory)
+            return (recent.at[i].set(t), new), StepOutputs(t, f_new, u_new, y_new, v_new)
 
-        (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
-        if rows is None:
-            decayed, added = _product(earlier, block_factor), _product(unit, _advanced_drive(recent, powers))
-            return ((decayed[0] + added[0], decayed[1] + added[1]), state), outputs
-        return (jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows, state), outputs
+        (recent, last), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), first), jnp.arange(BLOCK))
+        return (append_forces(earlier, recent), last), outputs
 
     zero = jnp.zeros_like(c)
     # y_H(0) = y_s at the strike position: the felt touches without compression (paper eq. 7).
     y, v = y_string + zero, hammer.v_H0 + zero
-    return block, (zero, v - speed, zero, y, v, None if weights is None else zero)
+    return block, HammerState(zero, v - speed, zero, y, v, None if weights is None else zero)
 
 
 def _march(modes: Modes, hammer: Any, under: Float[AnyArray, " steps"], speed: AnyArray | float, rows: AnyArray | None):
@@ -327,53 +360,6 @@ def _march(modes: Modes, hammer: Any, under: Float[AnyArray, " steps"], speed: A
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
     earlier = (jnp.zeros_like(modes.alpha),) * 2 if rows is None else jnp.zeros_like(under)
     _, later = jax.lax.scan(block, (earlier, state), shifted)
-    zero = state[0]
-    first = (zero, zero, zero, state[3], state[4])
+    zero = jnp.zeros_like(state.u)
+    first = StepOutputs(zero, zero, zero, state.y, state.v)
     return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, later, strict=True))
-
-
-def _product(a, b):
-    """Complex product of pairs (real, imaginary): on a CPU several times as fast as complex arithmetic."""
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
-
-
-@jax.custom_jvp
-def _history(real, imag, powers):
-    """Σ_k Re(A_k z_k^n), n < BLOCK, m, of the real and imaginary parts of A [modes]."""
-    _, re, im = powers
-    return real @ re[:, :BLOCK] - imag @ im[:, :BLOCK]
-
-
-def _history_jvp(primal, tangents):
-    # d(z^n) = n z^n d(log z): tangents of log z suffice, and no tangents of single powers are carried.
-    (*amplitude, powers), (*d_amplitude, (d_log_z, _, _)) = primal, tangents
-    tangent = _history(*map(_instantiated, d_amplitude), powers)
-    if type(d_log_z) is not SymbolicZero:
-        tangent += jnp.arange(BLOCK) * _history(*_product(amplitude, (d_log_z.real, d_log_z.imag)), powers)
-    return _history(*amplitude, powers), tangent
-
-
-@jax.custom_jvp
-def _advanced_drive(drive, powers):
-    """Σ_i z_k^(BLOCK - i) T_i, real and imaginary [modes], N: the drive of a block, advanced to the next block."""
-    _, re, im = powers
-    return drive @ re[:, :0:-1].T, drive @ im[:, :0:-1].T
-
-
-def _advanced_drive_jvp(primal, tangents):
-    (drive, powers), (d_drive, (d_log_z, _, _)) = primal, tangents
-    real, imag = _advanced_drive(_instantiated(d_drive), powers)
-    if type(d_log_z) is not SymbolicZero:
-        weighted = _advanced_drive(jnp.arange(BLOCK, 0, -1) * drive, powers)
-        by_log_z = _product((d_log_z.real, d_log_z.imag), weighted)
-        real, imag = real + by_log_z[0], imag + by_log_z[1]
-    return _advanced_drive(drive, powers), (real, imag)
-
-
-# With a fixed string the powers have symbolic zeros as tangents, and the products above are left out.
-_history.defjvp(derivative(_history_jvp), symbolic_zeros=True)
-_advanced_drive.defjvp(derivative(_advanced_drive_jvp), symbolic_zeros=True)
-
-
-def _instantiated(tangent: Any) -> Any:
-    return jnp.zeros(tangent.shape) if type(tangent) is SymbolicZero else tangent

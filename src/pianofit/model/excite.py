@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 
 from ..excitation import Excitation
 from .contact import Pulse, strike, strike_final_state, strike_until_over
-from .damped_sums import BLOCK
+from .differentiable_sums import BLOCK
 from .free_motion import FreeMotion, free_motion
 from .modes import ComplexModes, Modes
 

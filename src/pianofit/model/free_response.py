@@ -22,7 +22,7 @@ from ..dsp.level import level_energy
 from ..errors import ParameterError
 from ..x64 import AnyArray, float64
 from .contact import impulse_amplitude
-from .damped_sums import sum_damped_exponentials, z_transform
+from .differentiable_sums import sum_damped_exponentials, z_transform
 from .free_motion import FreeMotion
 from .modes import ComplexModes, ComplexModesLike, Modes, RealModesLike
 from .program_cache import persistent_jit
@@ -237,8 +237,8 @@ def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
     if isinstance(modes.step, Tracer):
         if oversampling is None or oversampling < 1:
             raise ParameterError(
-                f"oversampling={oversampling}: waveform is traced with its table; give the steps of the contact per "
-                "sample, rate of mode_table over rate of waveform"
+                f"oversampling={oversampling}: inside jax.jit the rate of the mode table is unknown; give the steps of "
+                "the contact per sample, which are the rate of mode_table divided by the rate of waveform"
             )
         return oversampling
     contact = 1.0 / float(modes.step)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import deferred
-from ..dsp.knock import centre, nodes
+from ..dsp.knock_band import centre, nodes
 from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
@@ -20,10 +20,10 @@ from ..io.number_format import summary
 from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
-from .damped_sums import z_transform
+from .differentiable_sums import z_transform
 from .excite import excite
 from .free_response import level_db, modal_amplitudes
-from .knock import knock_level
+from .knock_force import knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table
 from .output_path import OutputPath, apply_filter, impulse_response, sample_at_modes

@@ -16,7 +16,7 @@ from ..excitation import Excitation
 from ..felt import law_of
 from ..parameters import Geometry, String
 from .contact import Pulse
-from .damped_sums import BLOCK
+from .differentiable_sums import BLOCK
 from .excite import excite_until_over
 from .free_motion import FreeMotion
 from .modes import Modes, mode_table

@@ -42,7 +42,7 @@ class PedalRange(NamedTuple):
         """Return this range, or raise a `ParameterError` unless 0 <= low < high <= 127."""
         if not 0 <= self.low < self.high <= 127:
             raise ParameterError(
-                f"pedal_range={self.low:g}, {self.high:g} must be two controller values from 0 to 127, the lower first"
+                f"pedal_range=({self.low:g}, {self.high:g}) must be two controller values from 0 to 127, lower first"
             )
         return self
 

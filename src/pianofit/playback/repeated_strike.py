@@ -15,7 +15,7 @@ from ..dsp.damped_sums import AMPLITUDE_FLOOR
 from ..errors import FitError, ParameterError
 from ..felt import RelaxingHammer, SoftHammer, is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
-from ..model.damped_sums import BLOCK, real_powers
+from ..model.differentiable_sums import BLOCK, real_powers
 from ..model.modal_response import ForcePulse, trim_trailing_zeros
 from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note

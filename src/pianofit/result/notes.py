@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dsp.knock import centre
+from ..dsp.knock_band import centre
 from ..inference import (
     KNOCK,
     STRING_SIZE,

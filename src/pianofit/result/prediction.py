@@ -15,7 +15,7 @@ import numpy as np
 
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
-from ..dsp.knock import centre
+from ..dsp.knock_band import centre
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
 from ..excitation import StrokeParameter
 from ..felt import law_of

@@ -49,32 +49,57 @@ def fit_warnings(
     errors : rms level error of every recording, dB.
     """
     problem = fit.problem
+    sections = (
+        _convergence_warning(fit),
+        contradictory_velocities(fit) if problem.parametrisation.law.has_contact else [],
+        literature_warnings(fit),
+        _mixture_warning(fit),
+        outlier_warnings(problem, errors),
+        _criterion_warning(worse),
+        _bound_warning(fit, states),
+        _correlation_warnings(fit),
+        _unmatched_warnings(problem),
+        velocity_assignment_warning(problem),
+        _assumption_warnings(fit),
+        [_excess_warning(fit)],
+        mixed_format_warnings(problem.recordings),
+        recording_warnings(problem.recordings, problem.analyses),
+        fit.alternative.messages if fit.alternative else (),
+    )
+    return [line for section in sections for line in section]
+
+
+def _convergence_warning(fit: InferenceResult) -> list[str]:
+    return [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
+
+
+def _criterion_warning(worse: Sequence[str]) -> list[str]:
+    if not worse:
+        return []
+    return [f"The paper's criterion did not decrease in: {', '.join(worse)}. This fit does not minimise it."]
+
+
+def _bound_warning(fit: InferenceResult, states: Mapping[str, Status]) -> list[str]:
     at_bound = [name for name, state in states.items() if state == "at-bound"]
-    at_bound += [problem.parametrisation.law.stroke.name] * ("at-bound" in velocity_statuses(fit))
-    lines = [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
-    lines += contradictory_velocities(fit) if problem.parametrisation.law.has_contact else []
-    lines += literature_warnings(fit)
-    lines += _mixture_warning(fit)
-    lines += outlier_warnings(problem, errors)
-    if worse:
-        lines.append(f"The paper's criterion did not decrease in: {', '.join(worse)}. This fit does not minimise it.")
-    lines += [AT_BOUND.format(", ".join(at_bound))] if at_bound else []
-    lines += [
+    if "at-bound" in velocity_statuses(fit):
+        at_bound.append(fit.problem.parametrisation.law.stroke.name)
+    return [AT_BOUND.format(", ".join(at_bound))] if at_bound else []
+
+
+def _correlation_warnings(fit: InferenceResult) -> list[str]:
+    return [
         f"{a} and {b} are strongly correlated ({r:+.3f}). The best-determined combination is "
         f"{best_combination(fit, a, b)}."
         for a, b, r in strong_correlations(fit)
     ]
-    lines += [
+
+
+def _unmatched_warnings(problem: FitProblem) -> list[str]:
+    return [
         f'[[recording]] file = "{printable(entry)}" matches none of the recordings, so it does not apply to '
         f"{printable(recording)}. Check its spelling."
         for entry, recording in problem.unmatched_entries
     ]
-    lines += velocity_assignment_warning(problem)
-    lines += _assumption_warnings(fit)
-    lines.append(_excess_warning(fit))
-    lines += mixed_format_warnings(problem.recordings)
-    lines += recording_warnings(problem.recordings, problem.analyses)
-    return lines + ([] if fit.alternative is None else [*fit.alternative.messages])
 
 
 def literature_warnings(fit: InferenceResult) -> list[str]:

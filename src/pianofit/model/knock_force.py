@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..dsp.knock import BAND, nodes
+from ..dsp.knock_band import BAND, nodes
 from .modes import Modes
 
 

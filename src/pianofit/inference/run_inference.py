@@ -28,14 +28,14 @@ from .profile import profiles
 
 # Minima whose posterior mass is smaller by more than this, in logarithms, have no weight: exp(-6) is a quarter of a
 # percent.
-WITHIN = 6.0
+MAX_LOG_MASS_GAP = 6.0
 # A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
-NEARLY = 1.0
+MAX_DECREASE = 1.0
 # Maximum number of minima that are refined.
-MOST = 6
+MAX_MINIMA = 6
 # A refinement ends when the discretisation error at its end differs from the one that it used by less than this
 # fraction of the levels' standard deviations, rms.
-LEFT = 0.05
+MAX_OFFSET_CHANGE = 0.05
 # Steps of a minimisation.
 ITERATIONS = 25
 METHODS = ("laplace", "profile", "posterior")
@@ -273,11 +273,11 @@ def refine_minima(
     Raises `FitError` if no contact ends.
     """
     u = objective.problem.parametrisation
-    near = candidates.take(np.array(deduplicate(candidates, u, scores, WITHIN)[:MOST]))
+    near = candidates.take(np.array(deduplicate(candidates, u, scores, MAX_LOG_MASS_GAP)[:MAX_MINIMA]))
     minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w, steps)
     # Two distinct starts can end in the same minimum: it counts once.
     mass = objective.negative_log_mass(minima.candidates)
-    return minima.take(np.array(deduplicate(minima.candidates, u, mass, WITHIN)))
+    return minima.take(np.array(deduplicate(minima.candidates, u, mass, MAX_LOG_MASS_GAP)))
 
 
 def refine(
@@ -313,10 +313,10 @@ def refine(
         sd = np.sqrt(table.variance + np.exp(2 * candidates.level.phi[:, :1, None]))
         change = (model.discretisation_error_db(candidates.theta) - candidates.offset) / sd
         rms = np.sqrt((change**2 * table.detected).sum(axis=(1, 2)) / max(table.detected.sum(), 1))
-        active = np.flatnonzero(rms >= LEFT)
+        active = np.flatnonzero(rms >= MAX_OFFSET_CHANGE)
         if not len(active):
             break
         some = candidates.take(active)
         candidates = candidates.put(active, minimised(some.theta, some.phi, some.w))
     left = np.minimum(candidates.last_decrease, predicted_decrease(objective, candidates))
-    return Minima(candidates, objective.total(candidates), left < NEARLY)
+    return Minima(candidates, objective.total(candidates), left < MAX_DECREASE)

@@ -1,4 +1,4 @@
-"""Measures the knock of a treble note: the energy of the attack in the band of `dsp/knock.py`."""
+"""Measures the knock of a treble note: the energy of the attack in the band of `dsp/knock_band.py`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ..conversions import DB
 from ..dsp.bands import fast_length
-from ..dsp.knock import AFTER, BAND, BEFORE, has_knock
+from ..dsp.knock_band import AFTER, BAND, BEFORE, has_knock
 from ..recording.recording import Recording
 
 # The noise is that of the recording from this time after the onset on, s, when the knock has decayed,
