@@ -55,8 +55,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         objective,
         observation_tables,
         optimiser,
+        pipeline,
         priors,
-        run_inference,
     )
 
     def plain(value: Any, factor: float) -> Any:
@@ -135,8 +135,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`CONVERGED`": (optimiser, "CONVERGED", plain),
         "`HYPER_REACH`": (objective, "HYPER_REACH", plain),
         "`NEGATIVE`": (curvature, "NEGATIVE", plain),
-        "`MAX_LOG_MASS_GAP`": (run_inference, "MAX_LOG_MASS_GAP", plain),
-        "`MAX_OFFSET_CHANGE`": (run_inference, "MAX_OFFSET_CHANGE", plain),
+        "`MAX_LOG_MASS_GAP`": (pipeline, "MAX_LOG_MASS_GAP", plain),
+        "`MAX_OFFSET_CHANGE`": (pipeline, "MAX_OFFSET_CHANGE", plain),
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
         "`LEVEL_FRAMES_SECONDS`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),

@@ -128,7 +128,7 @@ def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocitie
     """
     from pianofit.errors import FitError
     from pianofit.inference.objective import Objective
-    from pianofit.inference.run_inference import refine
+    from pianofit.inference.pipeline import refine
 
     best = minima.candidates.take(np.array([0]))
     z = point_of(problem, best.theta[0], true, velocities)

@@ -18,8 +18,8 @@ import numpy as np
 from pianofit.analysis import analyse, envelope_slopes
 from pianofit.inference.curvature import marginalise_nuisances
 from pianofit.inference.objective import Objective
+from pianofit.inference.pipeline import fit_string
 from pianofit.inference.problem import build_problem
-from pianofit.inference.run_inference import fit_string
 
 MOST = 2  # recordings
 HYPER = (0, 1, 2)  # unknown hyperparameters of frequencies and decays

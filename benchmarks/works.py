@@ -137,7 +137,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     from pianofit.inference.derivatives import evaluate
     from pianofit.inference.multistart import initial_hyperparameters, sobol_samples
     from pianofit.inference.objective import Objective
-    from pianofit.inference.run_inference import fit_string
+    from pianofit.inference.pipeline import fit_string
 
     recordings = [pianofit.load_recording(x) for x in files]
     problem = build_problem(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())

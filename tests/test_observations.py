@@ -11,7 +11,7 @@ from pianofit import Recording, Setup, analyse, recording_from_samples
 from pianofit.inference import build_problem, observation_tables, priors
 from pianofit.inference.batched_model import string_law
 from pianofit.inference.observation_tables import RecordingStructure, observe
-from pianofit.inference.run_inference import fit_string
+from pianofit.inference.pipeline import fit_string
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
 SOFT = analysis([1, 2, 4], [-12.0, -25.0, -50.0], absent=[3, 5], bound=[-61.0, -62.0], f0=F0 * 2 ** (2 / 1200))

@@ -25,7 +25,7 @@ from pianofit.inference.multistart import (
 )
 from pianofit.inference.objective import Objective, QuadraticSurrogate
 from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
-from pianofit.inference.run_inference import fit_string, refine_minima
+from pianofit.inference.pipeline import fit_string, refine_minima
 from pianofit.literature import preset
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES

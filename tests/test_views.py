@@ -30,8 +30,8 @@ from pianofit.inference.nuts import density_context, log_density, random_start, 
 from pianofit.inference.objective import Objective
 from pianofit.inference.optimiser import Options, minimise
 from pianofit.inference.parametrisation import names_of
+from pianofit.inference.pipeline import compute_intervals
 from pianofit.inference.profile import DELTA_NLL_95, _Profile, profiles
-from pianofit.inference.run_inference import compute_intervals
 from pianofit.parameters import STRING_NAMES
 from pianofit.result import build_result
 from pianofit.synthetic import demo_recording

@@ -15,10 +15,10 @@ from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues,
 from .multistart import NO_HAMMER
 from .observation_tables import KNOCK, select_partials
 from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
+from .pipeline import InferenceResult, check_intervals, map_estimate, run_inference
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
 from .recording_objective import RecordingObjective, objective_of
-from .run_inference import InferenceResult, check_intervals, map_estimate, run_inference
 
 __all__ = [
     "KNOCK",

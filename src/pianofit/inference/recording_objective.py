@@ -22,8 +22,8 @@ from ..x64 import AnyArray, float64, x64_scope
 from .density import DensityContext, density_context_at, negative_log_density, size_changes
 from .objective import Objective
 from .parametrisation import STRING_SIZE, Parametrisation, names_of
+from .pipeline import fit_string, initial_point
 from .problem import FitProblem
-from .run_inference import fit_string, initial_point
 
 # Rounds of φ and w at a fixed θ, and the decrease of F below which they end.
 ROUNDS, SETTLED = 60, 1e-6

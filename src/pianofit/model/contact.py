@@ -275,7 +275,7 @@ class HammerState(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """What a step adds to a pulse."""
+    """Entries of a pulse at one step."""
 
     drive: Array  # T, N
     force: Array  # N
@@ -321,7 +321,7 @@ def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | flo
     def append_to_rows(earlier, recent):
         return jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows
 
-    # What the forces of earlier blocks leave: complex amplitudes of the modes, or the future displacement.
+    # Past forces leave complex amplitudes of the modes, or the future displacement.
     displacement_after, append_forces = (
         (displacement_by_modes, append_to_modes) if rows is None else (displacement_by_rows, append_to_rows)
     )
