@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ from batch_cases import CLI, python, results, struck
 from pianofit.batch import Job, ProcessPool, Settings, make_job, read_keys
 from pianofit.batch.fit_job import JobResult, _of_another_key, _wrong_note
 from pianofit.cli import main
+from pianofit.cli.batch import _settings
+from pianofit.errors import SetupError
 from pianofit.io.files import encode_wav
+from pianofit.setup import Setup
 
 PATTERN = "{instrument}-{note}-{layer}.wav"
 
@@ -207,3 +211,18 @@ def test_options_that_cannot_be_meant(tmp_path, monkeypatch, capsys, arguments, 
     assert named in captured.err
     assert captured.err.count("\n") == 1
     assert captured.out == ""
+
+
+def test_options_and_setup_make_one_setup(tmp_path):
+    file = tmp_path / "setup.toml"
+    assumed = ("power", "hammer", "bridge-force")
+    for text in ("[string]\nlength = 1.0\n", '[felt]\nlaw = "power"\n[string]\nlength = 1.0\n'):
+        file.write_text(text)
+        whole = Setup.from_dict(tomllib.loads(_settings(file, assumed, "average", 0, False, False).setup))
+        assert (whole.felt, whole.excitation, whole.pickup_quantity) == assumed
+    file.write_text('[felt]\nlaw = "stulov"\n')
+    with pytest.raises(SetupError, match=r"stulov.* contradicts .*power"):
+        _settings(file, assumed, "average", 0, False, False)
+    file.write_text("[felt]\n")
+    with pytest.raises(SetupError, match='add law = "power" there'):
+        _settings(file, assumed, "average", 0, False, False)

@@ -225,7 +225,7 @@ def test_what_goes_wrong_leaves_nothing_behind(tmp_path):
     ({"rate": 10}, "rate=10 Hz"),
     ({"peak_db": 1.0}, "peak_db=1.0"), ({"trim_db": 5.0}, "trim_db=5.0"),
     ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
-    ({"kind": "mp3"}, "samples='mp3'"), ({"keys": [20]}, "key 20"),
+    ({"kind": "mp3"}, "kind='mp3'"), ({"keys": [20]}, "key 20"),
     ({"keys": list(range(21, 109)), "layers": 100}, "more than 40,000 s"),
 ])  # fmt: skip
 def test_what_cannot_be_exported_is_refused(tmp_path, options, message):

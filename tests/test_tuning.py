@@ -398,8 +398,8 @@ def test_names_are_escaped(fits, tuned, tmp_path):
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["--a4", "44"], "a4=44"),
-        (["--a4", "nan"], "a4=nan"),
+        (["--a4", "44"], "--a4 44"),
+        (["--a4", "nan"], "--a4 nan"),
         (["--prefix", "other"], "'other'"),
     ],
 )

@@ -6,7 +6,6 @@ import multiprocessing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from ..analysis.note_names import midi_to_note, parse_keys
 from ..errors import ParameterError
 from ..io.files import cleanup_on_interrupt, printable
 from ..io.number_format import counted
@@ -104,6 +103,8 @@ def _end_workers() -> None:
 
 def _ends(keys: str) -> tuple[str, str]:
     """Return the lowest and the highest key of a range."""
+    from ..analysis.note_names import midi_to_note, parse_keys
+
     chosen = parse_keys(keys)
     if len(chosen) != chosen[-1] - chosen[0] + 1:
         raise ParameterError(f"keys={keys!r} must be one range, such as C2-C6")
