@@ -19,6 +19,7 @@ from ..io.files import json_text, printable, replace_paths
 from ..io.number_format import number
 from ..result import Result
 from ..schema.decode import builtins_of
+from ..schema.fit import Fit
 from . import text
 from .drawing import page_style, svg
 from .equations import equations
@@ -54,7 +55,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
 
     Parameters
     ----------
-    title : plain text; names of the recordings and the note of the reference recording if None.
+    title : plain text; name of the first recording and the note of the reference recording if None.
     held_out : result of `cross_validate` for the same recordings, to be added to the page.
 
     Raises
@@ -70,7 +71,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
-        title=title or ", ".join(filter(None, (*(printable(row.file) for row in fit.recordings), fit.reference.note))),
+        title=title or _title(fit),
         contents=True,
         fit=fit,
         text=text,
@@ -93,6 +94,12 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         figures={name: picture(panels) for name, panels in figures.items()},
         data=json_text(builtins_of(fit)).rstrip(),
     )
+
+
+def _title(fit: Fit) -> str:
+    first, others = printable(fit.recordings[0].file), len(fit.recordings) - 1
+    name = f"{first} and {others} other{'s' * (others > 1)}" if others else first
+    return ", ".join(filter(None, (name, fit.reference.note)))
 
 
 def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dict[str, list[bytes]]:
