@@ -142,10 +142,6 @@ class PluckLaw(Excitation):
         """Return a pluck; without a value its force is 1 N, because the gain of a recording contains the size."""
         return Pluck(values.get("force", 0.0 * absent + 1.0))
 
-    def pulse(self, force: Any, step: float, hammer: Pluck) -> np.ndarray:
-        """Return the release as an impulse, N/s [1]: its sum times the step is the static force."""
-        return np.array([float(hammer.force) / step])
-
     def mode_excitation(self, omega: Any) -> Any:
         """Return 1/ω, the size of -1/p for a weakly damped mode, s [modes]."""
         return 1.0 / omega

@@ -131,13 +131,6 @@ class Excitation:
         """
         raise NotImplementedError
 
-    def pulse(self, force: Any, step: float, hammer: Any) -> Any:
-        """Return the pulse that excites modes in the sound [steps], given the force of the contact, N [steps].
-
-        A mode with the pole p gets the excitation step · Σ pulse exp(-p step n).
-        """
-        return force
-
     def mode_excitation(self, omega: Any) -> Any:
         """Return the size of the excitation of modes by a unit of the pulse, over that by an impulse of 1 N s [modes].
 

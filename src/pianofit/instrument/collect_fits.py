@@ -56,7 +56,7 @@ class KeyFit:
 
     @property
     def law(self) -> Excitation:
-        """What excites the string; all keys of an instrument have the same kind."""
+        """Excitation of the string; all keys of an instrument have the same kind."""
         return law_of(self.note.hammer)
 
 
@@ -202,8 +202,8 @@ def _check_one_excitation(keys: Iterable[KeyFit]) -> None:
     if len(found) > 1:
         a, b = list(found.values())[:2]
         raise FitError(
-            f"{a.summary.file} is {a.law.words.verb} and {b.summary.file} is {b.law.words.verb}; an instrument needs one "
-            "excitation, so give the fits of one"
+            f"{a.summary.file} is {a.law.words.verb} and {b.summary.file} is {b.law.words.verb}; an instrument needs "
+            "one excitation, so give the fits of one"
         )
 
 

@@ -48,7 +48,7 @@ class Removal(NamedTuple):
 
 
 def prior_of(fit: Fit, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
-    """Return the prior of hammer and felt, or of a pluck, at one minimum. Values that the user gave do not belong to it."""
+    """Return the prior of hammer and felt, or of a pluck, at one minimum, without values that the user gave."""
     law = LAWS.get(fit.felt)
     spread = HAMMER_SD | ({n: p.prior_sd for n, p in law.parameters.items()} if law else {}) | _pluck_spreads(fit)
     initial = {n: q.initial for n, q in fit.parameters.items() if q.initial and q.status not in ("given", "assumed")}
@@ -75,7 +75,8 @@ def _pluck_spreads(fit: Fit) -> dict[str, float]:
     if fit.excitation not in OTHERS:
         return {}
     law, at = OTHERS[fit.excitation], fit.parameters
-    place = Geometry(*(at[name].value for name in ("L", "M_S", "x0", "width")), 0.0)
+    length, mass, position, width = (at[name].value for name in ("L", "M_S", "x0", "width"))
+    place = Geometry(length, mass, position, width, 0.5 * length)
     return {**law.spreads, law.stroke.name: law.stroke.prior(place)[1]}
 
 

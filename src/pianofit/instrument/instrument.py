@@ -103,12 +103,12 @@ class Instrument:
 
     @property
     def law(self) -> Excitation:
-        """What excites the strings."""
+        """Excitation of the strings."""
         return law_of(next(iter(self.keys.values())).note.hammer)
 
     @property
     def resonates(self) -> bool:
-        """Whether strings excite one another over the bridge.
+        """True if strings excite one another over the bridge.
 
         Not for plucks: a key of a guitar is not a string of its own, so the free strings are not known.
         """

@@ -19,7 +19,7 @@ from ..felt import ALL_PARAMETERS, FeltLaw, SoftHammer, law_of
 from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, reference_compression, typical
 from ..model.note import Note
-from ..parameters import HAMMER_NAMES, Geometry, String
+from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, String
 from .quantity_law import Prior
 
 
@@ -61,8 +61,8 @@ LAW_QUANTITIES = {
 }
 
 # Size of the strokes whose level has a law: a fortissimo of 4 m/s. An instrument sets the loudest recording of every
-# uncalibrated key to it, before the keyboard tells more. The loudest pluck of every key has a force of 4 N: recordings do
-# not determine its force, and this one gives plucks and hammers one velocity curve. Players pluck with a few newtons.
+# uncalibrated key to it, before the keyboard tells more. The loudest pluck of every key has a force of 4 N: recordings
+# do not determine its force, and this one gives plucks and hammers one velocity curve. Players use a few newtons.
 LOUDEST_VELOCITY = 4.0
 # Compression at which the laws state force and exponent, over the reference compression of the key. A stroke at 4 m/s
 # reaches 2 to 5 times that. With a skin, force and exponent at the reference compression itself depend on the skin.
@@ -149,9 +149,11 @@ def _hammer_quantities(note: Note, midi: int) -> dict[str, float]:
 
 def note_from_quantities(at: dict[str, float], midi: int, quantity: str, law: Excitation) -> Note:
     """Return the note with these `law_quantities`, clipped to their ranges, with a strong stroke and a gain of 1."""
-    length = at["L"]
-    mass = at["M_S/L"] * length
-    c = 2 * length * hertz_of(midi + at["cents"] / 100)
+    hertz = hertz_of(midi + at["cents"] / 100)
+    # No sound depends on the length, and a string of the law's length may be too fast for the range of c.
+    low, high = (speed / (2 * hertz) for speed in (PARAMETERS["c"].lower, PARAMETERS["c"].upper))
+    length = float(np.clip(at["L"], low, high))
+    mass, c = at["M_S/L"] * length, 2 * length * hertz
     strike = at["x0/L"] * length
     string = {
         "c": c,

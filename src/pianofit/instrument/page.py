@@ -81,10 +81,17 @@ def _columns(instrument: Instrument) -> list[tuple[str, Callable[[int, Key], str
         ("M<sub>S</sub>, g", lambda _, key: number(1e3 * key.note.geometry.mass, 3)),
         ("x₀/L", lambda _, key: number(key.values["x0/L"].value, 3)),
     ]
-    return string + (_hammer_columns() if instrument.law.key_quantities else []) + [
-        ("recordings", lambda _, key: str(key.fit.recordings) if key.fit else "–"),
-        ("levels, dB", lambda _, key: "–" if not key.fit or key.fit.levels_db is None else f"{key.fit.levels_db:.2f}"),
-    ]
+    return (
+        string
+        + (_hammer_columns() if instrument.law.key_quantities else [])
+        + [
+            ("recordings", lambda _, key: str(key.fit.recordings) if key.fit else "–"),
+            (
+                "levels, dB",
+                lambda _, key: "–" if not key.fit or key.fit.levels_db is None else f"{key.fit.levels_db:.2f}",
+            ),
+        ]
+    )
 
 
 def _hammer_columns() -> list[tuple[str, Callable[[int, Key], str]]]:

@@ -79,8 +79,15 @@ class ForcePulse(NamedTuple):
 def force_pulse(stroke: Simulation, hammer: Any) -> ForcePulse:
     """Return the force of a simulated stroke by this hammer, or of a pluck."""
     law, step = law_of(hammer), float(stroke.modes.step)
-    force = trim_trailing_zeros(law.pulse(np.asarray(stroke.pulse.force), step, hammer))
-    return ForcePulse(force, step, float(getattr(hammer, law.size)))
+    size = float(getattr(hammer, law.size))
+    if not law.has_contact:
+        return release_pulse(size, step)
+    return ForcePulse(trim_trailing_zeros(np.asarray(stroke.pulse.force)), step, size)
+
+
+def release_pulse(force: float, step: float) -> ForcePulse:
+    """Return the pulse of a pluck with this static force, N: an impulse of that size, in one step, s."""
+    return ForcePulse(np.array([force / step]), step, force)
 
 
 def trim_trailing_zeros(pulse: np.ndarray) -> np.ndarray:

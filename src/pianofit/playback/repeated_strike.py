@@ -16,7 +16,7 @@ from ..errors import FitError, ParameterError
 from ..felt import is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
 from ..model.damped_sums import BLOCK, real_powers
-from ..model.modal_response import ForcePulse, trim_trailing_zeros
+from ..model.modal_response import ForcePulse, release_pulse, trim_trailing_zeros
 from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note
 from ..model.output_path import impulse_response, sample_at_modes
@@ -78,8 +78,9 @@ def string_tables(note: Note, rate: float) -> StringTables:
     unit, drive = unit * warp, gain * modes.pickup * unit
     per_impulse = 2 * contact * drive  # a step of force F lasts 1/contact and has T = 2 F
     if not (law := law_of(note.hammer)).has_contact:
-        rate_of_mode = np.asarray(modes.free_rate)
-        unit = law.displacement(modes, note.with_size(1.0).hammer) * (1 + 1j * rate_of_mode.real / rate_of_mode.imag)
+        unit = law.displacement(modes, note.with_size(1.0).hammer) * (
+            1 + 1j * np.real(modes.free_rate) / np.imag(modes.free_rate)
+        )
         drive = per_impulse = pickup * unit
     faint = np.full(len(pole), AMPLITUDE_FLOOR) if path is None else AMPLITUDE_FLOOR * 10 ** (-path.db / 20)
     return StringTables(
@@ -107,7 +108,7 @@ def strike_string(table: StringTables, hammer: Any, state: np.ndarray, where: st
         raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or a built-in law")
     if not law.has_contact:
         size = float(getattr(hammer, law.size))
-        return np.array([size]), ForcePulse(law.pulse(np.zeros(1), 1 / table.rate, hammer), 1 / table.rate, size)
+        return np.array([size]), release_pulse(size, 1 / table.rate)
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS

@@ -6,7 +6,8 @@ current motion of the string.
 
 If the modal response of the key was measured (`model.modal_response`), it gives the sound. The string is then
 simulated only for the contact with the next hammer. In both cases the sound during a stroke is a convolution with the
-stroke, and the modes ring freely afterwards. A finger that plucks a string stops it first. A knock may begin before the stroke, so all output is `lead` samples late.
+stroke, and the modes ring freely afterwards. A finger that plucks a string stops it first. A knock may begin before the
+stroke, so all output is `lead` samples late.
 """
 
 from __future__ import annotations

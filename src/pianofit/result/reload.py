@@ -105,7 +105,7 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
 
 
 def _contact_delay(fit: Fit, notes: Sequence[Note], index: int) -> float:
-    """Time from the onset to the first contact, s. The layers of a modal response are a path group by size of the stroke."""
+    """Time from the onset to the first contact, s. Layers of a modal response are a path group by size of stroke."""
     group = fit.path_groups[fit.recordings[index].path_group]
     group.sort(key=lambda i: float(notes[i].size))
     layers = () if fit.modal_response is None else fit.modal_response.layers

@@ -56,7 +56,7 @@ class Recorded(NamedTuple):
     reference: np.ndarray  # literature, on the scales of the laws [quantities, 88]
     responses: Mapping[int, ModalResponse]  # by MIDI number
     unconverged: tuple[int, ...]
-    has_unisons: bool  # keys with two or three strings; a plucked key has one
+    has_unisons: bool = True  # keys with two or three strings; a plucked key has one
 
 
 def tuning(
@@ -178,9 +178,10 @@ def _contains_zero(estimate: IntervalValue) -> bool:
 def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
     warnings = []
     if not has_law:
+        source = "the literature" if recorded.has_unisons else "priors"
         warnings.append(
             f"Only {counted(len(recorded.keys), 'key')} measured, fewer than {ENOUGH_KEYS}. The shape of the laws "
-            f"comes from {'the literature' if recorded.has_unisons else 'priors'}, and deviations from the law are not listed."
+            f"comes from {source}, and deviations from the law are not listed."
         )
     if recorded.unconverged:
         names = ", ".join(map(midi_to_note, recorded.unconverged))
@@ -284,9 +285,7 @@ def _from_instrument(path: Path, prefix: str | None) -> Recorded:
     rows = [published_values(midi, instrument.law) for midi in KEYS.tolist()]
     reference = np.array([[row.get(name, mean[name]) for row in rows] for name in CHOSEN])
     unconverged = tuple(m for m, key in instrument.keys.items() if key.fit is not None and not key.fit.converged)
-    return Recorded(
-        instrument.name, CHOSEN, tuple(keys), reference, responses, unconverged, instrument.law.has_contact
-    )
+    return Recorded(instrument.name, CHOSEN, tuple(keys), reference, responses, unconverged, instrument.law.has_contact)
 
 
 def _measurement(fits: Sequence[OwnFit]) -> Measurement:
