@@ -117,7 +117,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     stroke, key = note.strike(rate), modal_response_of(result)
     if key is None:
         raise SystemExit(f"{wanted} from {by}: nothing rings; this is no case of the table")
-    sound = key.sound(force_pulse(stroke, float(note.hammer.v_H0)), rate, count).mean(axis=0)
+    sound = key.sound(force_pulse(stroke, note.hammer), rate, count).mean(axis=0)
     how = "velocity found" if steps is None else "velocity by MIDI"
     return Made(f"pianofit, from {' '.join(by)}, {how}", f"{given}; not trained on anything", sound)
 

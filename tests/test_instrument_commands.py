@@ -243,8 +243,8 @@ def discrepant(velocity: object, db: object) -> dict:
 
 
 BAD_INSTRUMENTS = {
-    "kind": (changed("kind", "fit"), "schema 7"),
-    "schema": (changed("schema", 99), "schema 7"),
+    "kind": (changed("kind", "fit"), "schema 8"),
+    "schema": (changed("schema", 99), "schema 8"),
     "quantity": (changed("quantity", ["x" * 999]), r"quantity = \['xxx.*\.\.\. must be one of velocity, "),
     "keys": (changed("keys", {}), r"keys = \{\} must be a list"),
     "no keys": (changed("keys", []), r"keys = \[\] must be a list of length >= 1"),

@@ -11,6 +11,7 @@ import pytest
 from instrument_cases import ERRORS, covariance_of, fit_document, library, true_note, truth, write_fit
 
 from pianofit.errors import FitError
+from pianofit.felt import law_of
 from pianofit.instrument import Instrument, build_instrument, find_fits, instrument_name, load_keys
 from pianofit.instrument.build import fit_velocity_curve
 from pianofit.instrument.key_measurements import measurements_of
@@ -342,7 +343,7 @@ def test_the_covariance_of_the_quantities_is_that_of_many_draws():
 def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
         note = true_note(midi)
-        back = note_from_quantities(key_quantities(note, midi), midi, "pressure")
+        back = note_from_quantities(key_quantities(note, midi), midi, "pressure", law_of(note.hammer))
         assert back.string == pytest.approx(note.string, rel=1e-12)
         assert back.hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
         assert back.geometry == pytest.approx(note.geometry, rel=1e-12)

@@ -47,7 +47,7 @@ USES = {
     "synthetic": "felt io literature model parameters recording setup transducer",
     "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress"
     " recording schema setup sobol threads transducer",
-    "modal_response": "analysis dsp felt model recording result schema threads",
+    "modal_response": "analysis dsp model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "report": "analysis dsp excitation felt io modal_response model result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
@@ -57,7 +57,7 @@ USES = {
     "listening": "io recording report schema",
     "dataset": "analysis batch felt inference instrument io literature model parameters progress schema",
     "playback": "dsp felt instrument io literature model parameters threads",
-    "export": "analysis dsp instrument io model playback report schema threads",
+    "export": "analysis dsp felt instrument io model playback report schema threads",
     "mend": "analysis batch dsp instrument io modal_response model recording schema",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",

@@ -14,7 +14,6 @@ from pianofit import FitError, Geometry, Note, ParameterError, Pluck, Setup, Set
 from pianofit.cli.fits import setup_of_options
 from pianofit.excitation import NAMES, OTHERS, PLUCK, STROKES
 from pianofit.felt import law_of
-from pianofit.instrument import load_keys
 from pianofit.report.release import displacements
 from pianofit.transducer import QUANTITIES, TRANSDUCERS
 
@@ -144,13 +143,6 @@ def test_figures_of_a_hammer_are_refused(fitted):
         with pytest.raises(FitError, match="plucked"):
             getattr(result.plot, name)()
     assert "pluck" in repr(result.note).lower()
-
-
-def test_an_instrument_rejects_plucks(fitted, tmp_path):
-    _, result = fitted
-    result.save(tmp_path / "A2", page=False)
-    with pytest.raises(FitError, match="pluck"):
-        load_keys([tmp_path / "A2" / "fit.json"])
 
 
 def test_one_pluck_at_a_pickup_is_reported_as_ambiguous():

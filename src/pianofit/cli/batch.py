@@ -152,8 +152,7 @@ def batch(
             make_workers = _workers(count, memory, time_limit, scheduler, files == "value")
             run = run_joint_batch if joint else run_batch
             result = run(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
-        is_playable = setup_of_options(setup, felt, excitation, quantity, None).law.has_contact
-        print_result(asdict(result), _summary(result, is_playable), as_json)
+        print_result(asdict(result), _summary(result), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
 
@@ -315,7 +314,7 @@ def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_js
     print_result({"keys": rows, "unread": [asdict(file) for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
-def _summary(result: Status, playable: bool = True) -> str:
+def _summary(result: Status) -> str:
     """Summary of all keys for a terminal."""
     count = {state: n for state, n in result.counts.items() if n}
     at_work = ""
@@ -340,6 +339,5 @@ def _summary(result: Status, playable: bool = True) -> str:
         lines.append(f"also in keys/, from an earlier run: {', '.join(result.strangers[:LISTED])}")
     if count.get("done"):
         lines.append(f"{result.folder}: index.html shows all keys, keys.csv has the numbers, keys/KEY/ has the fit")
-        if playable:
-            lines.append(f"play them with: pianofit page {printable(shlex.quote(result.folder))}")
+        lines.append(f"play them with: pianofit page {printable(shlex.quote(result.folder))}")
     return "\n".join(lines) + "\n"

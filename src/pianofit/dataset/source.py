@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import AnalysisError, OutputError, ParameterError, check_range, check_type
-from ..felt import DEFAULT_LAW
+from ..felt import DEFAULT_LAW, law_of
 from ..instrument import load_instrument
 from ..io.files import path_name, printable, read_file
 from ..literature import typical
@@ -72,13 +72,18 @@ def load_source(options: NoteOptions) -> Source:
     Raises
     ------
     ParameterError
-        For an invalid range of keys, and for keys or modal responses that a fit or an instrument lacks.
+        For an invalid range of keys, for plucked strings, and for keys or modal responses that a fit or an instrument
+        lacks.
     FitError
         If the file is neither a fit nor an instrument.
     """
     check_options(options)
     around = Source(_Literature()) if options.around is None else _read(path_name(options.around))
     own = around.notes
+    if not (law := law_of(next(iter(own.values())).hammer)).has_contact:
+        raise ParameterError(
+            f"around={printable(options.around)}: is {law.words.verb}; give a struck string or a piano"
+        )
     first, last = options.keys or (min(own), max(own))
     low, high = _midi(first), _midi(last)
     chosen = {midi: own[midi] for midi in range(low, high + 1) if midi in own}

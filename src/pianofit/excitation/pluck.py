@@ -13,6 +13,13 @@ x0/L by the partials that they lack.
 The width stands for all that rounds the corner: width of finger or plectrum, and their own roundness. To second order
 both multiply the levels by one smooth function of k, so no recording distinguishes them. A pluck at x0 and one at
 L - x0 give the same levels. The position is therefore that from the nearer end.
+
+The force is constant up to t = 0, so a mode with the pole p has the excitation
+
+    ∫ F exp(-p t) dt = F ∫_{-∞}^0 exp(-p t) dt = -F/p,
+
+which is that of an impulse of the size F through the response to the release of 1 N, -P/p, in place of the response P
+to an impulse of 1 N s. All that plays forces plays a pluck as such an impulse, with the size of the pluck in N.
 """
 
 from __future__ import annotations
@@ -114,6 +121,9 @@ class PluckLaw(Excitation):
     formula = FORMULA
     hammers = Pluck
     has_contact: ClassVar[bool] = False
+    size: ClassVar[str] = "force"
+    size_is_gain: ClassVar[bool] = True
+    key_quantities: ClassVar[tuple[str, ...]] = ()
     gain_deviations: ClassVar[tuple[float, ...]] = (GAIN_DEVIATION,)
     roughness: ClassVar[tuple[float, float]] = ROUGHNESS
     figures: ClassVar[tuple[str, ...]] = ("release",)
@@ -131,6 +141,10 @@ class PluckLaw(Excitation):
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 1.0) -> Pluck:
         """Return a pluck; without a value its force is 1 N, because the gain of a recording contains the size."""
         return Pluck(values.get("force", 0.0 * absent + 1.0))
+
+    def mode_excitation(self, omega: Any) -> Any:
+        """Return 1/ω, the size of -1/p for a weakly damped mode, s [modes]."""
+        return 1.0 / omega
 
     def displacement(self, modes: Any, hammer: Pluck) -> Any:
         """Return the static displacement of the modes, m [modes]."""

@@ -82,6 +82,10 @@ class Excitation:
     spreads : prior standard deviations of the logarithms of columns, next to those of a hammer.
     ranges : bounds of columns over the string length, next to those of a hammer.
     figures : names of the figures of a page that show the excitation.
+    size : name of the field of a hammer that MIDI velocities set: velocity, m/s, or static force, N.
+    size_is_gain : True if the size is a factor of the sound. Recordings through one path then share one gain, and
+        differ in size.
+    key_quantities : names of the keyboard laws that describe the excitation.
     power, base, storage, slow : of felt laws only; see `FeltLaw`.
     """
 
@@ -97,6 +101,9 @@ class Excitation:
     gain_deviations: ClassVar[tuple[float, ...]]
     roughness: ClassVar[tuple[float, float]]
     figures: ClassVar[tuple[str, ...]]
+    size: ClassVar[str]
+    size_is_gain: ClassVar[bool] = False
+    key_quantities: ClassVar[tuple[str, ...]]
     spreads: ClassVar[Mapping[str, float]] = MappingProxyType({})
     ranges: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
     power: tuple[str, str] | None = None
@@ -123,6 +130,15 @@ class Excitation:
         hammer : an object of `hammer_type`.
         """
         raise NotImplementedError
+
+    def mode_excitation(self, omega: Any) -> Any:
+        """Return the size of the excitation of modes by a unit of the pulse, over that by an impulse of 1 N s [modes].
+
+        Parameters
+        ----------
+        omega : angular frequencies, rad/s [modes].
+        """
+        return 1.0 + 0.0 * omega
 
     def typical(self, preset: Geometry, length: float | None) -> Geometry:
         """Return the assumed sizes of a string.

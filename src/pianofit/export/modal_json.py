@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
+from ..felt import law_of
 from ..instrument import Instrument
 from ..io.files import replace_file
 from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ForcePulse, ModalResponse
@@ -111,7 +112,7 @@ def _key(instrument: Instrument, midi: int) -> ModesKey:
         scale,
         tuple(_force(instrument, midi, velocity, table, response) for velocity in VELOCITIES),
         _numbers(note.string, note.geometry),
-        {name: x for name, x in _numbers(note.hammer).items() if name != "v_H0"},
+        {name: x for name, x in _numbers(note.hammer).items() if name != law_of(note.hammer).size},
         dict(instrument.keys[midi].values),
     )
 
@@ -127,7 +128,7 @@ def _force(
     amplitude = np.abs(response.pattern * factor * force.drive(response.pole))
     return ForceEntry(
         velocity,
-        float(hammer.v_H0),
+        force.velocity,
         1e3 * _contact_seconds(force),
         _rounded(force.at(RATE)),
         _rounded(np.stack([np.real(factor), np.imag(factor)])),
@@ -147,9 +148,8 @@ def _contact_seconds(force: ForcePulse) -> float:
 def _string_response(table: StringTables) -> ModalResponse:
     """Modes of the string model through the levels of its output path, for a key without a measured response."""
     pole = np.asarray(table.modes.pole)
-    # A step of force F lasts 1/rate and has T = 2F.
     path = 1.0 if table.path is None else np.abs(_path_response(table.path, pole))
-    pattern = 2 * table.rate * table.drive * path
+    pattern = table.per_impulse * path
     heard = np.flatnonzero((np.abs(pattern) > 0) & (np.imag(pole) < np.pi * RATE))
     number = 1 + heard
     return ModalResponse(number, pole[heard], np.zeros(len(heard)), pattern[None, heard], np.zeros((1, 0)), RATE)

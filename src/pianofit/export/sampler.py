@@ -130,6 +130,7 @@ def export_sampler(
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
     _check(instrument, keys, options, to)
+    options = options._replace(resonance=options.resonance and instrument.resonates)
     try:
         out = out.resolve()
         _check_target(out, force)
@@ -164,6 +165,8 @@ def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions, 
     if options.blend not in SAMPLERS[to].blends:
         raise ParameterError(f"blend={options.blend!r} must be one of {', '.join(SAMPLERS[to].blends)} for {to}")
     check_range("layers=", options.layers, 1, LOUDEST)
+    if options.una_corda and not instrument.law.has_contact:
+        raise ParameterError(f"una_corda=True needs hammers, and these strings are {instrument.law.words.verb}")
     if options.blend != "curves" and options.layers == 1:
         raise ParameterError(
             f"layers=1 with blend={options.blend!r} has one level only; give 2 or more layers, or blend='curves'"

@@ -92,7 +92,7 @@ def render_resonance_sample(
 ) -> np.ndarray:
     """Sound that free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
     string.reset()
-    head = string.strike(instrument.note(string.midi, velocity).hammer.v_H0)
+    head = string.strike(instrument.note(string.midi, velocity).size)
     stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)
     samples = round(length.seconds * string.rate) + max(begin, 0)
     lifted = np.zeros((len(instrument.keys), hop_count(samples, string.rate)))
@@ -108,7 +108,7 @@ def render_stroke(
     string.reset()
     # Add the travel time of the wave to the pickup.
     samples = round((seconds + arrival(note.string, note.geometry, note.quantity)) * string.rate)
-    head = string.strike(note.hammer.v_H0, soft)
+    head = string.strike(note.size, soft)
     sound = np.concatenate([head, string.ring(max(samples - head.shape[-1], 0))], axis=-1)
     return string.through_path(sound)[:CHANNELS, :samples]
 

@@ -90,6 +90,8 @@ class FeltLaw(Excitation):
     gain_deviations: ClassVar[tuple[float, ...]] = GAIN_DEVIATION
     roughness: ClassVar[tuple[float, float]] = PATH
     figures: ClassVar[tuple[str, ...]] = ("force", "felt")
+    size: ClassVar[str] = "v_H0"
+    key_quantities: ClassVar[tuple[str, ...]] = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):

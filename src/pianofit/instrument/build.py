@@ -18,6 +18,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
 from ..errors import ParameterError, check_range
+from ..excitation import Excitation
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.extras import KeyExtras
@@ -30,6 +31,7 @@ from .guessed_keys import guess_response, recorded_keys, string_law
 from .instrument import Instrument, Key
 from .key_quantities import (
     LAW_QUANTITIES,
+    law_quantities,
     literature,
     note_from_quantities,
     stroke_level,
@@ -40,7 +42,6 @@ from .noise_floor import noise_floor
 from .release_noise import recorded_releases, release_noise
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
-NAMES = tuple(LAW_QUANTITIES)
 # With fewer keys, the shapes of the laws come from the literature.
 ENOUGH_KEYS = 5
 # Deviation from the prediction of all other keys beyond which a key is named, standard deviations.
@@ -85,10 +86,11 @@ def build_instrument(
     if not keys:
         raise ParameterError("no fit was given; an instrument needs at least one fit.json")
     reference = reference_values(keys, KEYS.tolist())
-    priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
+    quantities = law_quantities(keys[0].law)
+    priors = [quantity.prior for quantity in quantities.values()]
     posterior = keyboard_posterior([key.measured for key in keys], reference, priors, KEYS.tolist())
     keys = [scale_key(key, math.exp(scale)) for key, scale in zip(keys, posterior.log_scale, strict=True)]
-    laws = {n: _keyboard_law(q, posterior, reference) for q, n in enumerate(NAMES)}
+    laws = {n: _keyboard_law(q, n, posterior, reference, keys[0].law) for q, n in enumerate(quantities)}
     recorded = {key.midi: Key(key.note, "recorded", _values(key.midi, posterior, keys), key.summary) for key in keys}
     seen = recorded_keys(recorded, laws)
     fields, path = measure_fields(seen), measure_path(seen)
@@ -97,7 +99,7 @@ def build_instrument(
     recorded = {midi: replace(key, note=evened.get(midi, key.note)) for midi, key in recorded.items()}
     guessed = {
         int(midi): Key(
-            _guess(int(midi), laws, fields, path, keys[0].note),
+            _guess(int(midi), laws, fields, path, keys[0]),
             "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated",
             _values(int(midi), posterior, keys),
             is_guessed=True,
@@ -144,19 +146,31 @@ def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
 
 
 def reference_values(keys: Sequence[KeyFit], at: Sequence[int]) -> np.ndarray:
-    """Values of the literature on the scales of the laws [quantities, at]; for the level the mean of the keys."""
-    level = float(np.mean([key.fitted.mean[NAMES.index("level")] for key in keys]))
-    rows = [literature(int(midi)) | {"level": level} for midi in at]
-    return np.array([LAW_QUANTITIES[n].scaled([row[n] for row in rows]) for n in NAMES])
+    """Values of the literature on the scales of the laws [quantities, at]; for the level the mean of the keys.
+
+    No keyboard of plucked strings is published. All their quantities have the mean of the recorded keys.
+    """
+    law = keys[0].law
+    mean = dict(zip(law_quantities(law), np.mean([key.fitted.mean for key in keys], axis=0), strict=True))
+    rows = [published_values(int(midi), law) for midi in at]
+    return np.array([[row.get(name, value) for row in rows] for name, value in mean.items()])
 
 
-def _keyboard_law(q: int, posterior: KeyboardPosterior, reference: np.ndarray) -> KeyboardLaw:
-    quantity, shape = LAW_QUANTITIES[NAMES[q]], posterior.shapes[q]
-    low, high = _interval(q, posterior.law[q], posterior.law_sd[q])
+def published_values(midi: int, law: Excitation) -> dict[str, float]:
+    """Return what the literature has of one key, by quantity, on the scales of the laws."""
+    values = literature(midi) if law.key_quantities else {"cents": 0.0}
+    return {name: float(LAW_QUANTITIES[name].scaled(value)) for name, value in values.items()}
+
+
+def _keyboard_law(
+    q: int, name: str, posterior: KeyboardPosterior, reference: np.ndarray, law: Excitation
+) -> KeyboardLaw:
+    quantity, shape = LAW_QUANTITIES[name], posterior.shapes[q]
+    low, high = _interval(name, posterior.law[q], posterior.law_sd[q])
     return KeyboardLaw(
         unit=quantity.unit,
         scale=quantity.scale,
-        literature=None if NAMES[q] == "level" else quantity.unscaled(reference[q]),
+        literature=quantity.unscaled(reference[q]) if name in published_values(LOWEST_KEY, law) else None,
         value=quantity.unscaled(posterior.law[q]),
         low=low,
         high=high,
@@ -165,9 +179,9 @@ def _keyboard_law(q: int, posterior: KeyboardPosterior, reference: np.ndarray) -
     )
 
 
-def _interval(q: int, y: Any, sd: Any) -> tuple[Any, Any]:
+def _interval(name: str, y: Any, sd: Any) -> tuple[Any, Any]:
     """Return the ends of the 95 % interval."""
-    unscaled = LAW_QUANTITIES[NAMES[q]].unscaled
+    unscaled = LAW_QUANTITIES[name].unscaled
     return unscaled(y - HALF_WIDTH_95 * sd), unscaled(y + HALF_WIDTH_95 * sd)
 
 
@@ -176,37 +190,37 @@ def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> 
     numbers = [key.midi for key in keys]
     j = numbers.index(midi) if midi in numbers else None
     found = {}
-    for q, name in enumerate(NAMES):
+    for q, name in enumerate(law_quantities(keys[0].law)):
         unscaled = LAW_QUANTITIES[name].unscaled
         value, sd = (float(x[midi - LOWEST_KEY]) for x in posterior.value_at(q, numbers, KEYS.tolist()))
         own = None
         if j is not None:
             fitted = keys[j].fitted
             mean, own_sd = float(fitted.mean[q]), math.sqrt(fitted.covariance[q, q])
-            own = OwnFit(float(unscaled(mean)), _interval(q, mean, own_sd), float(posterior.z[q, j]))
+            own = OwnFit(float(unscaled(mean)), _interval(name, mean, own_sd), float(posterior.z[q, j]))
         law = float(unscaled(posterior.law[q, midi - LOWEST_KEY]))
-        found[name] = KeyValue(float(unscaled(value)), _interval(q, value, sd), law, own)
+        found[name] = KeyValue(float(unscaled(value)), _interval(name, value, sd), law, own)
     return found
 
 
 def _guess(
-    midi: int, laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, path: PathField | None, like: Note
+    midi: int, laws: Mapping[str, KeyboardLaw], fields: KeyFields | None, path: PathField | None, like: KeyFit
 ) -> Note:
     """Return the note of a key that was never recorded."""
     values = {name: float(law.value[midi - LOWEST_KEY]) for name, law in laws.items()}
-    note = note_from_quantities(values, midi, like.quantity)
+    note = note_from_quantities(values, midi, like.note.quantity, like.law)
     note = note._replace(path=None if path is None else path.at(midi))
     if fields is not None:
         note = note._replace(modal_response=guess_response(note, midi, string_law(laws, midi), fields))
     gain = 10 ** ((values["level"] - stroke_level(note)) / 20)
-    return note._replace(gain=math.copysign(gain, like.gain))
+    return note._replace(gain=math.copysign(gain, like.note.gain))
 
 
 def _warnings(keys: Sequence[KeyFit], posterior: KeyboardPosterior) -> list[str]:
     warnings = [
         f"{midi_to_note(key.midi)}: {name} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} the "
         "prediction of the other keys"
-        for q, name in enumerate(NAMES)
+        for q, name in enumerate(law_quantities(keys[0].law))
         for key, z in zip(keys, posterior.z[q], strict=True)
         if abs(z) > NAMED_SD and len(keys) >= ENOUGH_KEYS
     ]
@@ -223,6 +237,6 @@ def _warnings(keys: Sequence[KeyFit], posterior: KeyboardPosterior) -> list[str]
     if len(keys) < ENOUGH_KEYS:
         warnings.append(
             f"Only {counted(len(keys), 'key')} of this instrument {'are' if len(keys) > 1 else 'is'} "
-            "fitted. The shape of the laws comes from the literature."
+            f"fitted. The shape of the laws comes from {'the literature' if keys[0].law.key_quantities else 'priors'}."
         )
     return warnings

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
-from ..excitation import HAMMER
-from ..felt import SoftHammer
+from ..excitation import Excitation
+from ..felt import SoftHammer, law_of
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
@@ -30,7 +31,7 @@ from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
-from .key_measurements import NEEDED, fitted_values, measurements_of
+from .key_measurements import fitted_values, measurements_of, needed
 from .key_quantities import LOUDEST_VELOCITY, soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
 
@@ -52,6 +53,11 @@ class KeyFit:
     fitted: Measurement  # of the `LAW_QUANTITIES`, as the fit reports them
     summary: FitSummary
     velocity: float | None  # of the loudest recording by its own fit, m/s; None if the scale of velocities is given
+
+    @property
+    def law(self) -> Excitation:
+        """Excitation of the string; all keys of an instrument have the same kind."""
+        return law_of(self.note.hammer)
 
 
 def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
@@ -181,6 +187,7 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
                 "choose an instrument by --prefix"
             )
         keys[key.midi] = key
+    _check_one_excitation(keys.values())
     kinds = sorted({key.note.quantity for key in keys.values()})
     if len(kinds) > 1:
         raise FitError(
@@ -189,27 +196,74 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     return [keys[midi] for midi in sorted(keys)]
 
 
+def _check_one_excitation(keys: Iterable[KeyFit]) -> None:
+    """Raise a `FitError` that names two files with different excitations."""
+    found = {key.law.kind: key for key in keys}
+    if len(found) > 1:
+        a, b = list(found.values())[:2]
+        raise FitError(
+            f"{a.summary.file} is {a.law.words.verb} and {b.summary.file} is {b.law.words.verb}; an instrument needs "
+            "one excitation, so give the fits of one"
+        )
+
+
 def _load_key(file: Path) -> KeyFit:
     fit, name = read_fit(file), printable(file)
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
-    if fit.excitation != HAMMER:
-        raise FitError(
-            f"{name}: its string is {fit.excitation}ed; an instrument of 88 keys needs fits of struck strings"
-        )
-    if not isinstance(note.hammer, Hammer | SoftHammer):
+    law = law_of(note.hammer)
+    if law.key_quantities and not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
+    _check_values(fit, name, law)
+    sizes = _sizes(fit, law)
+    loudest = max(sizes, key=lambda recording: sizes[recording])
+    # The note has the output path of the reference recording, and a gain belongs to a path.
+    same_path = [i for i in fit.path_groups[fit.reference.path_group] if i in sizes]
+    gain = note.gain if law.size_is_gain else fit.recordings[max(same_path, key=lambda i: sizes[i])].gain
+    note = note.with_size(sizes[loudest])
+    path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
+    summary = FitSummary(
+        file=name,
+        recordings=len(fit.recordings),
+        levels_db=fit.levels.fitted_db,
+        converged=fit.converged,
+        velocities=tuple(np.unique([*sizes.values()]).tolist()),
+        layers=_layers(fit, sizes),
+        partials=() if note.modal_response is None else partial_decays(note.modal_response),
+    )
+    own_velocity = sizes[loudest] if fit.velocity_scale_open else None
+    scale = LOUDEST_VELOCITY / sizes[loudest] if own_velocity or law.size_is_gain else 1.0
+    note, summary = _scaled(note._replace(gain=gain, path=path), summary, scale)
+    own = fit, note, midi, stroke_level(note)
+    return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary, own_velocity)
+
+
+def _sizes(fit: Fit, law: Excitation) -> dict[int, float]:
+    """Return the size of the stroke by recording: its velocity, m/s, or the force of a pluck over the reference's, N.
+
+    The force of a pluck follows from its gain, which other paths do not share. Their recordings are left out.
+    """
+    if not law.size_is_gain:
+        return {i: float(recording.stroke_value) for i, recording in enumerate(fit.recordings)}
+    group = fit.path_groups[fit.reference.path_group]
+    return {i: abs(fit.recordings[i].gain / fit.reference.gain) for i in group}
+
+
+def _check_values(fit: Fit, name: str, law: Excitation) -> None:
+    """Raise a `FitError` for values that an instrument cannot use."""
+    stroke = law.stroke
     for i, recording in enumerate(fit.recordings):
         if not (recording.stroke_value > 0 and recording.gain):
             raise FitError(
-                f"{name}: recordings[{i}] has v_H0 = {recording.stroke_value:g} m/s and gain = {recording.gain:g}, but "
-                "a velocity must be above 0, and a gain not 0; give the file that pianofit fit wrote"
+                f"{name}: recordings[{i}] has {stroke.name} = {recording.stroke_value:g} {stroke.unit} and gain = "
+                f"{recording.gain:g}, but a {law.words.order} must be above 0, and a gain not 0; give the file that "
+                "pianofit fit wrote"
             )
     for i, minimum in enumerate(fit.minima):
-        missing = NEEDED - {*minimum.parameters}
+        missing = needed(law) - {*minimum.values(fit)}
         if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
-                f"{name}: minima[{i}] must have velocities above 0, m/s, and the parameters "
+                f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and the parameters "
                 f"{', '.join(sorted(missing)) or 'of a fit'}; give the file that pianofit fit wrote"
             )
         if minimum.covariance is not None and not minimum.covariance.is_valid:
@@ -217,38 +271,16 @@ def _load_key(file: Path) -> KeyFit:
                 f"{name}: minima[{i}].covariance must be a finite symmetric matrix without negative eigenvalues; give "
                 "the file that pianofit fit wrote"
             )
-    # The note has the output path of the reference recording, and a gain belongs to a path.
-    same_path = (fit.recordings[i] for i in fit.path_groups[fit.reference.path_group])
-    gain = max(same_path, key=lambda recording: recording.stroke_value).gain
-    velocities = np.unique([recording.stroke_value for recording in fit.recordings])
-    hammer = soft_hammer(note.hammer._replace(v_H0=float(velocities[-1])))
-    path = None if note.path is None else note.path._replace(velocity_discrepancy=None)  # only predictions use it
-    summary = FitSummary(
-        file=name,
-        recordings=len(fit.recordings),
-        levels_db=fit.levels.fitted_db,
-        converged=fit.converged,
-        velocities=tuple(velocities.tolist()),
-        layers=_layers(fit),
-        partials=() if note.modal_response is None else partial_decays(note.modal_response),
-    )
-    own_velocity = float(velocities[-1]) if fit.velocity_scale_open else None
-    scale = LOUDEST_VELOCITY / own_velocity if own_velocity else 1.0
-    note, summary = _scaled(note._replace(hammer=hammer, gain=gain, path=path), summary, scale)
-    own = fit, note, midi, stroke_level(note)
-    return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary, own_velocity)
 
 
 def scale_key(key: KeyFit, scale: float) -> KeyFit:
-    """Return the fit of a key with all velocities times `scale`. The sound of its recordings stays the same."""
+    """Return the fit of a key with all sizes of strokes times `scale`. The sound of its recordings stays the same."""
     note, summary = _scaled(key.note, key.summary, scale)
     return replace(key, note=note, summary=summary)
 
 
 def _scaled(note: Note, summary: FitSummary, scale: float) -> tuple[Note, FitSummary]:
-    h, response = soft_hammer(note.hammer), note.modal_response
-    changed = {"K_H": h.K_H * scale ** (1 - h.p), "mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
-    hammer = h._replace(**within_ranges(changed))
+    response, hammer = note.modal_response, _scaled_hammer(note, scale)
     response = None if response is None else response.scale_velocity(scale)
     layers = tuple(replace(layer, velocity=layer.velocity * scale) for layer in summary.layers)
     velocities = tuple(velocity * scale for velocity in summary.velocities)
@@ -256,6 +288,14 @@ def _scaled(note: Note, summary: FitSummary, scale: float) -> tuple[Note, FitSum
         note._replace(hammer=hammer, gain=note.gain / scale, modal_response=response),
         replace(summary, velocities=velocities, layers=layers),
     )
+
+
+def _scaled_hammer(note: Note, scale: float) -> Any:
+    if not law_of(note.hammer).key_quantities:
+        return note.with_size(note.size * scale).hammer
+    h = soft_hammer(note.hammer)
+    changed = {"K_H": h.K_H * scale ** (1 - h.p), "mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
+    return h._replace(**within_ranges(changed))
 
 
 def _midi(note: Note, file: Path) -> int:
@@ -268,11 +308,15 @@ def _midi(note: Note, file: Path) -> int:
     return midi
 
 
-def _layers(fit: Fit) -> tuple[Layer, ...]:
-    """Return the recordings of a fit, soft to loud."""
+def _layers(fit: Fit, sizes: Mapping[int, float]) -> tuple[Layer, ...]:
+    """Return the recordings of a fit whose strokes have `sizes`, soft to loud."""
     entries = () if fit.modal_response is None else fit.modal_response.layers
     delay = {entry.file: entry.contact_s for entry in entries}
-    layers = [Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), r.stroke_value) for r in fit.recordings]
+    layers = [
+        Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), sizes[i])
+        for i, r in enumerate(fit.recordings)
+        if i in sizes
+    ]
     return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 

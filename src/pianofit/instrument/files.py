@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError, check_range
-from ..felt import SoftHammer, check_hammer, make_hammer
+from ..excitation import OTHERS
+from ..felt import SoftHammer, check_hammer, law_of, make_hammer
 from ..io.files import printable, replace_file, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -74,7 +76,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     if even:
         raise ParameterError(f"even={even:g}: {printable(path)} is a finished instrument; give the folder of its fits")
     record, name = read_instrument_file(file), printable(file)
-    keys = {entry.midi: _key(entry, record.quantity, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
+    keys = {entry.midi: _key(entry, record, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
     keys = with_guessed_responses(keys, record.laws)
     return Instrument(
         printable(record.name),
@@ -101,11 +103,10 @@ def _release(record: InstrumentFile, name: str) -> ReleaseNoise | None:
     return ReleaseNoise(sounds, rates.pop()[0]) if rates else None
 
 
-def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
+def _key(entry: KeyEntry, record: InstrumentFile, where: str) -> Key:
     """Return the key of an entry, without a guessed modal response. Its values are checked."""
     string, geometry = vars(entry.string), Geometry(**vars(entry.geometry))
-    felt = vars(entry.hammer) | {"v_H0": 2.0}  # each stroke sets its own velocity
-    hammer = make_hammer(felt if entry.hammer.skin else {name: felt[name] for name in HAMMER_NAMES})
+    hammer, quantity = _hammer(entry, record.excitation), record.quantity
     try:
         check(string, where)
         check_hammer(hammer, where)
@@ -125,11 +126,20 @@ def _key(entry: KeyEntry, quantity: str, where: str) -> Key:
     return Key(note, entry.state, entry.values, entry.fit, entry.changes, response == "guess")
 
 
+def _hammer(entry: KeyEntry, excitation: str) -> Any:
+    """Return what excites the string of a key. Each stroke sets its own size."""
+    if entry.hammer is None:
+        return OTHERS[excitation].make_hammer({})
+    felt = vars(entry.hammer) | {"v_H0": 2.0}
+    return make_hammer(felt if entry.hammer.skin else {name: felt[name] for name in HAMMER_NAMES})
+
+
 def instrument_record(instrument: Instrument) -> InstrumentFile:
     """Return the content of the `instrument.json` of an instrument."""
     return InstrumentFile(
         name=instrument.name,
         quantity=instrument.quantity,  # pyright: ignore[reportArgumentType]
+        excitation=instrument.law.kind,  # pyright: ignore[reportArgumentType]
         velocity=instrument.velocity,
         laws=dict(instrument.laws),
         keys=tuple(_entry(midi, key, instrument.even) for midi, key in sorted(instrument.keys.items())),
@@ -146,7 +156,6 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
 def _entry(midi: int, key: Key, even: float) -> KeyEntry:
     """Return the entry of a key. Guesses do not follow from evened keys, so they are then written out."""
     hammer, path, response = key.note.hammer, key.note.path, key.note.modal_response
-    skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
     is_guess = key.is_guessed and not even
     modal_response = "guess" if is_guess else None
     if response is not None and not is_guess:
@@ -156,7 +165,7 @@ def _entry(midi: int, key: Key, even: float) -> KeyEntry:
         note=midi_to_note(midi),
         state=key.state,
         string=StringEntry(*map(float, key.note.string)),
-        hammer=HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H, skin))),
+        hammer=_hammer_entry(hammer),
         geometry=GeometryEntry(*map(float, key.note.geometry)),
         gain=float(key.note.gain),
         path=None if path is None else PathEntry(path.frequency, path.db),
@@ -165,6 +174,13 @@ def _entry(midi: int, key: Key, even: float) -> KeyEntry:
         changes=None if key.changes is None else dict(key.changes),
         fit=key.fit,
     )
+
+
+def _hammer_entry(hammer: Any) -> HammerEntry | None:
+    if not law_of(hammer).key_quantities:
+        return None
+    skin = hammer.skin if isinstance(hammer, SoftHammer) else 0.0
+    return HammerEntry(*map(float, (hammer.K_H, hammer.mu, hammer.p, hammer.M_H, skin)))
 
 
 def write_instrument(path: str | os.PathLike[str], instrument: Instrument) -> InstrumentFile:

@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..excitation import OTHERS
 from ..felt import LAWS
 from ..felt.law import FeltLaw
 from ..felt.published import HAMMER_SD
+from ..parameters import Geometry
 from ..schema.fit import Fit, Minimum
 
 # Standard deviation of the new prior over that of the old one. The keyboard's own priors are as wide as the old one.
@@ -46,13 +48,14 @@ class Removal(NamedTuple):
 
 
 def prior_of(fit: Fit, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
-    """Return the prior of hammer and felt at one minimum. Values that the user gave do not belong to it."""
+    """Return the prior of hammer and felt, or of a pluck, at one minimum, without values that the user gave."""
     law = LAWS.get(fit.felt)
-    spread = HAMMER_SD | ({n: p.prior_sd for n, p in law.parameters.items()} if law else {})
+    spread = HAMMER_SD | ({n: p.prior_sd for n, p in law.parameters.items()} if law else {}) | _pluck_spreads(fit)
     initial = {n: q.initial for n, q in fit.parameters.items() if q.initial and q.status not in ("given", "assumed")}
     found = {n: sd for n, sd in spread.items() if n in names and n in initial}
     rows = np.array([[float(name == other) for other in names] for name in found]).reshape(len(found), len(names))
-    away = np.array([math.log(minimum.parameters[name] / initial[name]) for name in found])
+    values = minimum.values(fit)
+    away = np.array([math.log(values[name] / initial[name]) for name in found])
     if law and law.power and law.power[0] in found:
         # A fit searches the force at the reference compression, and not the stiffness.
         u, stiffness = fit.derived.reference_compression_mm * 1e-3, list(found).index(law.power[0])
@@ -65,6 +68,16 @@ def prior_of(fit: Fit, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
         away[stiffness] += term - _force_term(law, u, start)
     sd = np.array(list(found.values()))
     return FitPrior(rows / sd[:, None], away / sd)
+
+
+def _pluck_spreads(fit: Fit) -> dict[str, float]:
+    """Prior standard deviations that a pluck has in place of those of a hammer."""
+    if fit.excitation not in OTHERS:
+        return {}
+    law, at = OTHERS[fit.excitation], fit.parameters
+    length, mass, position, width = (at[name].value for name in ("L", "M_S", "x0", "width"))
+    place = Geometry(length, mass, position, width, 0.5 * length)
+    return {**law.spreads, law.stroke.name: law.stroke.prior(place)[1]}
 
 
 def _force_term(law: FeltLaw, u: float, at: Mapping[str, float]) -> float:

@@ -22,6 +22,7 @@ import numpy as np
 
 from ..conversions import HALF_WIDTH_95, LOWEST_KEY
 from ..dsp.level import level_energy
+from ..felt import law_of
 from ..model.modal_response import ModalResponse, VelocityGain
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw
@@ -40,8 +41,6 @@ from .measured_fields import (
     string_partials,
 )
 
-# Quantities of the hammer, which the laws replace in a recorded key.
-HAMMER = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
 # Decay rates of the exponentials, over that of the laws.
 RATIOS = np.geomspace(0.02, 200, 41)
 # Curves are compared down to this level below their start, dB.
@@ -67,9 +66,11 @@ def recorded_keys(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> l
 
 
 def _recorded(midi: int, key: Key, laws: Mapping[str, KeyboardLaw]) -> RecordedKey:
-    hammer = {name: float(laws[name].value[midi - LOWEST_KEY]) for name in HAMMER}
-    struck = note_from_quantities(key_quantities(key.note, midi) | hammer, midi, key.note.quantity)
-    velocities = key.fit.velocities if key.fit and key.fit.velocities else (float(key.note.hammer.v_H0),)
+    law = law_of(key.note.hammer)
+    # The laws replace the hammer of a recorded key.
+    hammer = {name: float(laws[name].value[midi - LOWEST_KEY]) for name in law.key_quantities}
+    struck = note_from_quantities(key_quantities(key.note, midi) | hammer, midi, key.note.quantity, law)
+    velocities = key.fit.velocities if key.fit and key.fit.velocities else (float(key.note.size),)
     law_note = key.note._replace(hammer=struck.hammer)
     return RecordedKey(midi, key.note, law_note, string_law(laws, midi), tuple(map(float, velocities)))
 

@@ -10,6 +10,8 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..conversions import A4, DB, LOWEST_KEY, hertz_of
 from ..errors import ParameterError
+from ..excitation import Excitation
+from ..felt import law_of
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.bridge import BridgeAdmittance
@@ -100,6 +102,19 @@ class Instrument:
         return next(iter(self.keys.values())).note.quantity
 
     @property
+    def law(self) -> Excitation:
+        """Excitation of the strings."""
+        return law_of(next(iter(self.keys.values())).note.hammer)
+
+    @property
+    def resonates(self) -> bool:
+        """True if strings excite one another over the bridge.
+
+        Not for plucks: a key of a guitar is not a string of its own, so the free strings are not known.
+        """
+        return self.law.has_contact
+
+    @property
     def channels(self) -> int:
         """Number of channels: the largest of all keys."""
         return max(
@@ -149,7 +164,7 @@ class Instrument:
         return f"recorded keys are moved by {100 * self.even:.3g} % to the laws in level, decay and brightness"
 
     def note(self, midi: int, velocity: float) -> Note:
-        """Return the note of a key, struck at a MIDI velocity.
+        """Return the note of a key, struck or plucked at a MIDI velocity.
 
         Parameters
         ----------
@@ -164,7 +179,7 @@ class Instrument:
         if midi not in self.keys:
             span = f"{midi_to_note(min(self.keys))} to {midi_to_note(max(self.keys))}"
             raise ParameterError(f"key {midi} is not on this instrument; it has {span}")
-        return self.keys[midi].note.with_velocity(self.velocity.at(velocity))
+        return self.keys[midi].note.with_size(self.velocity.at(velocity))
 
     @property
     def state_counts(self) -> dict[KeyState, int]:
@@ -180,7 +195,8 @@ class Instrument:
         dampers = f"dampers: {low:.0f} to {high:.0f} dB/s at the fundamental, from: {measured or self.dampers.source}"
         release = counted(len(self.release.sounds), "key") if self.release else "none"
         noise = f"{self.noise.level_db:.0f} dB re full scale" if self.noise else "none"
-        return f"{dampers}; release noise: {release} recorded; noise floor: {noise}\n{self._bridge}"
+        bridge = f"\n{self._bridge}" * self.resonates
+        return f"{dampers}; release noise: {release} recorded; noise floor: {noise}{bridge}"
 
     @property
     def _bridge(self) -> str:
@@ -205,6 +221,7 @@ class Instrument:
             label = f"{'tuning' if name == 'cents' else name}{f', {law.unit}' if law.unit not in ('', '1') else ''}"
             scatter = f"{law.scatter:.2g} {law.unit}" if law.scale == "linear" else f"{100 * law.scatter:.2g} %"
             lines.append(f"{label:26}{scatter:>14}{law.length_keys:>7.0f} keys")
-        lines += ["", f"MIDI velocity 64 is {self.velocity.at_64:.3g} m/s, from: {self.velocity.source}"]
+        size = f"{self.velocity.at_64:.3g} {self.law.hammer_parameters[self.law.size].unit}"
+        lines += ["", f"MIDI velocity 64 is {size}, from: {self.velocity.source}"]
         lines.append(self.beyond_strings)
         return "\n".join([*lines, *self.warnings])

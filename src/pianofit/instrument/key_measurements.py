@@ -14,7 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import FitError
-from ..felt import ALL_PARAMETERS
+from ..excitation import Excitation
+from ..felt import ALL_PARAMETERS, law_of
 from ..felt.soft_skin import SOFT_SKIN
 from ..key_prior import KeyPrior
 from ..model.note import Note
@@ -27,14 +28,15 @@ from .key_quantities import (
     LOUDEST_VELOCITY,
     key_quantities,
     law_compression,
+    law_quantities,
     skin_share,
     soft_hammer,
     stroke_level,
 )
 from .keyboard_posterior import KeyMeasurements, Measurement
 
-# Parameters that every minimum must have.
-NEEDED = frozenset((*STRING_NAMES, "K_H", "mu", "p", "M_H", "x0", "width"))
+# Parameters of a hammer that every minimum must have.
+NEEDED_OF_HAMMER = frozenset(("K_H", "mu", "p", "M_H"))
 # Factor on the standard deviations of a fit that did not converge.
 NONCONVERGED_FACTOR = 2.0
 # Change of log velocity over which the slope of the level is taken.
@@ -61,6 +63,11 @@ PRIOR_PARAMETER = {
 }
 
 
+def needed(law: Excitation) -> frozenset[str]:
+    """Return the parameters that every minimum of a fit must have."""
+    return frozenset((*STRING_NAMES, "x0", "width")) | (NEEDED_OF_HAMMER if law.key_quantities else frozenset())
+
+
 def measurements_of(fit: Fit, note: Note, midi: int, level: float) -> KeyMeasurements:
     """Return the measurements of a key.
 
@@ -73,7 +80,8 @@ def measurements_of(fit: Fit, note: Note, midi: int, level: float) -> KeyMeasure
     """
     minima = tuple(_measurement(fit, note, midi, minimum, level, without_prior=True) for minimum in fit.minima)
     minima = minima or (_without_intervals(note, midi, level),)
-    direction = _scale_direction(note, midi, level) if fit.velocity_scale_open else np.zeros(len(LAW_QUANTITIES))
+    none = np.zeros(len(law_quantities(law_of(note.hammer))))
+    direction = _scale_direction(note, midi, level) if fit.velocity_scale_open else none
     return KeyMeasurements(midi, minima, direction)
 
 
@@ -85,21 +93,24 @@ def fitted_values(fit: Fit, note: Note, midi: int, level: float) -> Measurement:
 
 
 def _without_intervals(note: Note, midi: int, level: float) -> Measurement:
-    return Measurement(1.0, _scaled(key_quantities(note, midi), level), np.diag(_default_variances()))
+    return Measurement(1.0, _scaled(note, midi, level), np.diag(_default_variances(note)))
 
 
-def _scaled(values: Mapping[str, float], level: float) -> np.ndarray:
-    """Quantities on the scales of their laws [quantities]."""
-    values = {**values, "level": level}
-    return np.array([quantity.scaled(values[name]) for name, quantity in LAW_QUANTITIES.items()], float)
+def _scaled(note: Note, midi: int, level: float) -> np.ndarray:
+    """Quantities of a note on the scales of their laws [quantities]."""
+    values = key_quantities(note, midi) | {"level": level}
+    quantities = law_quantities(law_of(note.hammer))
+    return np.array([quantity.scaled(values[name]) for name, quantity in quantities.items()], float)
 
 
-def _default_variances() -> np.ndarray:
-    return np.array([quantity.default_sd**2 for quantity in LAW_QUANTITIES.values()])
+def _default_variances(note: Note) -> np.ndarray:
+    return np.array([quantity.default_sd**2 for quantity in law_quantities(law_of(note.hammer)).values()])
 
 
 def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
     """Return the note of a key with the parameters of one minimum, on the velocity scale of the instrument."""
+    if not law_of(note.hammer).key_quantities:
+        return _on_string(note, minimum.values(fit))
     velocity = float(np.max(minimum.stroke_values))
     return _scaled_note(note, minimum, LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0)
 
@@ -117,19 +128,24 @@ def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:
         v_H0=velocity * scale,
         skin=skin,
     )
+    return _on_string(note._replace(hammer=hammer), at)
+
+
+def _on_string(note: Note, at: Mapping[str, float]) -> Note:
+    """Return the note with the string and the place of the stroke of one minimum."""
     geometry = note.geometry._replace(strike_position=at["x0"], width=at["width"])
-    string = note.string._replace(**{name: at[name] for name in STRING_NAMES})
-    return note._replace(string=string, hammer=hammer, geometry=geometry)
+    geometry = geometry._replace(pickup=at.get("pickup", geometry.pickup))
+    return note._replace(string=note.string._replace(**{name: at[name] for name in STRING_NAMES}), geometry=geometry)
 
 
 def _measurement(fit: Fit, note: Note, midi: int, minimum: Minimum, level: float, without_prior: bool) -> Measurement:
     own = note_at(fit, note, minimum)
-    mean = _scaled(key_quantities(own, midi), level)
-    variance, weight = _default_variances(), minimum.weight
+    mean = _scaled(own, midi, level)
+    variance, weight = _default_variances(own), minimum.weight
     if minimum.covariance is None:
         return Measurement(weight, mean, np.diag(variance))
     names, matrix = minimum.covariance.names, _conditional(fit, minimum, minimum.covariance)
-    exponents = _exponents(names, own, midi, float(own.hammer.v_H0) / float(np.max(minimum.stroke_values)))
+    exponents = _exponents(names, own, midi, float(own.size) / float(np.max(minimum.stroke_values)))
     if without_prior:
         of_keys = fit.prior and _joint_prior(fit, fit.prior, _scaled_note(note, minimum, 1.0), midi, minimum, names)
         removal = remove_prior(of_keys or prior_of(fit, minimum, names), matrix)
@@ -180,25 +196,35 @@ def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarr
 
 def _exponents(names: tuple[str, ...], note: Note, midi: int, scale: float) -> np.ndarray:
     """Derivatives of the quantities by the logarithms of a fit's values [quantities, names]."""
-    hammer, u = soft_hammer(note.hammer), law_compression(midi)
-    p, skin = float(hammer.p), float(hammer.skin)
-    share = skin_share(u, skin)
-    log_base = math.log(SOFT_SKIN.power_base(u, {"skin": skin}))
     rows: dict[str, dict[str, float]] = {
         "cents": {"c": CENTS},
         "B": {"kappa": 2.0, "c": -2.0},
         "b1": {"b1": 1.0},
         "d2": {"b2": 1.0},
+        "x0/L": {"x0": 1.0},
+        "width/L": {"width": 1.0},
+        "pickup/L": {"pickup": 1.0},
+    }
+    quantities = law_quantities(law_of(note.hammer))
+    if law_of(note.hammer).key_quantities:
+        rows |= _hammer_exponents(note, midi, scale)
+    return np.array([[rows.get(quantity, {}).get(name, 0.0) for name in names] for quantity in quantities])
+
+
+def _hammer_exponents(note: Note, midi: int, scale: float) -> dict[str, dict[str, float]]:
+    """Those of the quantities of a hammer, by quantity and name."""
+    hammer, u = soft_hammer(note.hammer), law_compression(midi)
+    p, skin = float(hammer.p), float(hammer.skin)
+    share = skin_share(u, skin)
+    log_base = math.log(SOFT_SKIN.power_base(u, {"skin": skin}))
+    return {
         "M_H/M_S": {"M_H": 1.0},
         # F = K s^(1-p) g^p, with the base g = u²/(u + skin)
         "F/M_S": {"K_H": 1.0, "p": p * (log_base - math.log(scale)), "skin": -p * share},
         "local_exponent": {"p": 1.0, "skin": share * (1 - share) / (1 + share)},
         "mu": {"mu": 1.0},
         "skin": {"skin": 1.0},
-        "x0/L": {"x0": 1.0},
-        "width/L": {"width": 1.0},
     }
-    return np.array([[rows.get(quantity, {}).get(name, 0.0) for name in names] for quantity in LAW_QUANTITIES])
 
 
 def _scale_direction(note: Note, midi: int, level: float) -> np.ndarray:

@@ -7,18 +7,19 @@ laws use those, so that an assumption does not appear as a difference between ke
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from ..conversions import hertz_of, midi_of
 from ..dsp.loudness import k_weighted_mean_square
-from ..felt import ALL_PARAMETERS, SoftHammer
+from ..excitation import Excitation
+from ..felt import ALL_PARAMETERS, FeltLaw, SoftHammer, law_of
 from ..felt.soft_skin import SOFT_SKIN
 from ..literature import PICKUP, reference_compression, typical
 from ..model.note import Note
-from ..parameters import HAMMER_NAMES, Geometry, String
+from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, String
 from .quantity_law import Prior
 
 
@@ -56,11 +57,13 @@ LAW_QUANTITIES = {
     "L": LawQuantity("string length L", "m", Prior(0.3, 0.3, 0.2), 1e-3),
     "M_S/L": LawQuantity("string mass per metre M_S/L", "kg/m", Prior(0.5, 0.3, 0.3), 1e-3),
     "pickup/L": LawQuantity("pickup position x_m/L", "1", Prior(0.5, 0.3, 0.2), 1e-3),
-    "level": LawQuantity("level of a stroke at 4 m/s", "dB", Prior(60.0, 6.0, 4.0, 1.5), 0.3, "linear"),
+    "level": LawQuantity("level of a strong stroke", "dB", Prior(60.0, 6.0, 4.0, 1.5), 0.3, "linear"),
 }
 
-# Velocity of the strokes whose level has a law, m/s: a fortissimo. An instrument sets the loudest recording of every
-# uncalibrated key to it, before the keyboard determines it.
+# Size of the strokes whose level has a law: a fortissimo of 4 m/s. An instrument sets the loudest recording of every
+# uncalibrated key to it, before the keyboard determines it. The loudest pluck of every key has a force of 4 N.
+# Recordings do not determine its force, and this one gives plucks and hammers one velocity curve. Players use a few
+# newtons.
 LOUDEST_VELOCITY = 4.0
 # Compression at which the laws state force and exponent, over the reference compression of the key. A stroke at 4 m/s
 # reaches 2 to 5 times that. With a skin, force and exponent at the reference compression itself depend on the skin.
@@ -79,9 +82,22 @@ def skin_share(u: float, skin: float) -> float:
     return skin / (u + skin)
 
 
-def stroke_level(note: Note, velocity: float = LOUDEST_VELOCITY) -> float:
-    """Return the K-weighted level of the first second of a stroke (ITU-R BS.1770), dB re full scale."""
-    sound = note.render(velocity, seconds=LEVEL_SECONDS, rate=LEVEL_RATE, mono=False)
+def law_quantities(law: Excitation) -> dict[str, LawQuantity]:
+    """Return the quantities that have laws over the keys of an instrument with this excitation."""
+    foreign = {*FeltLaw.key_quantities} - {*law.key_quantities}
+    own = {name: quantity for name, quantity in LAW_QUANTITIES.items() if name not in foreign}
+    titles = {"level": f"level of a stroke of {LOUDEST_VELOCITY:g} {law.hammer_parameters[law.size].unit}"}
+    if law.stroke.name == "x0":
+        titles["x0/L"] = f"{law.words.stroke} x₀/L"
+    return {name: replace(x, title=titles.get(name, x.title)) for name, x in own.items()}
+
+
+def stroke_level(note: Note, size: float = LOUDEST_VELOCITY) -> float:
+    """Return the K-weighted level of the first second of a stroke (ITU-R BS.1770), dB re full scale.
+
+    `size` is the velocity of a hammer, m/s, or the force of a pluck, N.
+    """
+    sound = note.with_size(size).render(seconds=LEVEL_SECONDS, rate=LEVEL_RATE, mono=False)
     return 10 * math.log10(max(k_weighted_mean_square(sound, LEVEL_RATE), 1e-30))
 
 
@@ -104,33 +120,41 @@ def key_quantities(note: Note, midi: int) -> dict[str, float]:
 
     They are the deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s),
     ratios to string mass and length, felt force over string mass (N/kg) and local exponent at the `law_compression`,
-    and μ (s/m). The level is left out: `stroke_level` renders it.
+    and μ (s/m). The level is left out: `stroke_level` renders it. A pluck has no quantities of a hammer.
     """
     s, g = note.string, note.geometry
-    h, u = soft_hammer(note.hammer), law_compression(midi)
-    return {
+    table = {
         "cents": 100 * (midi_of(note.f0) - midi),
         "B": note.B,
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
-        "M_H/M_S": h.M_H / g.mass,
-        "F/M_S": SOFT_SKIN.force(u, 0.0, h) / g.mass,
-        "local_exponent": h.p * (1 + skin_share(u, h.skin)),
-        "mu": h.mu,
-        "skin": h.skin,
         "x0/L": g.strike_position / g.length,
         "width/L": g.width / g.length,
         "L": g.length,
         "M_S/L": g.mass / g.length,
         "pickup/L": g.pickup / g.length,
     }
+    return (table | _hammer_quantities(note, midi)) if law_of(note.hammer).key_quantities else table
 
 
-def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note:
-    """Return the note with these `LAW_QUANTITIES` and a gain of 1, clipped to their ranges, struck at 4 m/s."""
-    length = at["L"]
-    mass = at["M_S/L"] * length
-    c = 2 * length * hertz_of(midi + at["cents"] / 100)
+def _hammer_quantities(note: Note, midi: int) -> dict[str, float]:
+    h, u = soft_hammer(note.hammer), law_compression(midi)
+    return {
+        "M_H/M_S": h.M_H / note.geometry.mass,
+        "F/M_S": SOFT_SKIN.force(u, 0.0, h) / note.geometry.mass,
+        "local_exponent": h.p * (1 + skin_share(u, h.skin)),
+        "mu": h.mu,
+        "skin": h.skin,
+    }
+
+
+def note_from_quantities(at: dict[str, float], midi: int, quantity: str, law: Excitation) -> Note:
+    """Return the note with these `law_quantities`, clipped to their ranges, with a strong stroke and a gain of 1."""
+    hertz = hertz_of(midi + at["cents"] / 100)
+    # No sound depends on the length, and a string of the law's length may be too fast for the range of c.
+    low, high = (speed / (2 * hertz) for speed in (PARAMETERS["c"].lower, PARAMETERS["c"].upper))
+    length = float(np.clip(at["L"], low, high))
+    mass, c = at["M_S/L"] * length, 2 * length * hertz
     strike = at["x0/L"] * length
     string = {
         "c": c,
@@ -138,9 +162,17 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
         "b1": at["b1"],
         "b2": at["d2"] * (length / math.pi) ** 2,
     }
+    hammer = _hammer(at, midi, mass) if law.key_quantities else law.make_hammer({law.size: LOUDEST_VELOCITY})
+    # The contact window stays on the string.
+    width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
+    geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
+    return Note(String(**within_ranges(string)), hammer, geometry, quantity, 1.0)
+
+
+def _hammer(at: dict[str, float], midi: int, mass: float) -> SoftHammer:
     u = law_compression(midi)
     p = at["local_exponent"] / (1 + skin_share(u, at["skin"]))
-    hammer = {
+    values = {
         "K_H": at["F/M_S"] * mass / SOFT_SKIN.power_base(u, at) ** p,
         "skin": at["skin"],
         "mu": at["mu"],
@@ -148,10 +180,7 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str) -> Note
         "M_H": at["M_H/M_S"] * mass,
         "v_H0": LOUDEST_VELOCITY,
     }
-    # The contact window stays on the string.
-    width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
-    geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
-    return Note(String(**within_ranges(string)), SoftHammer(**within_ranges(hammer)), geometry, quantity, 1.0)
+    return SoftHammer(**within_ranges(values))
 
 
 def within_ranges(values: dict[str, float]) -> dict[str, float]:

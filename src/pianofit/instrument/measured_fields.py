@@ -19,6 +19,7 @@ from numpy.polynomial.hermite_e import hermegauss
 
 from ..dsp.knock_band import BAND
 from ..dsp.level import level_energy
+from ..felt import law_of
 from ..model.modal_response import ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
@@ -37,7 +38,7 @@ TIMES = np.concatenate([[0.0], np.geomspace(5e-4, 60, 56)])
 EARLY = (TIMES > 0) & (TIMES <= 1.0)
 # Smallest early decay over that of the laws.
 LEAST_RATIO = 0.02
-# Velocities at which levels are compared, m/s: pianissimo to fortissimo.
+# Velocities at which levels are compared, m/s, or forces of plucks, N: pianissimo to fortissimo.
 VELOCITIES = np.geomspace(0.25, 4.0, 5)
 # Standard deviation of the logarithm of a contact time: by so much the fits of neighbouring keys differ.
 DURATION_SD = 0.15
@@ -75,7 +76,7 @@ class RecordedKey(NamedTuple):
     note: Note  # as recorded
     law_note: Note  # the same string, struck by the hammer of the laws
     law: StringLaw
-    velocities: tuple[float, ...]  # of its recordings, m/s
+    velocities: tuple[float, ...]  # sizes of the strokes of its recordings: velocities, m/s, or forces of plucks, N
 
     @property
     def compared_velocities(self) -> np.ndarray:
@@ -96,7 +97,8 @@ Spectrum = Callable[[np.ndarray], np.ndarray]
 
 def spectrum(note: Note, velocity: float) -> Spectrum:
     """Return the magnitude of the spectrum of the force of a stroke, N s, as a function of frequency, Hz."""
-    pulse = force_pulse(note.with_velocity(velocity).strike(CONTACT_RATE), velocity)
+    struck = note.with_size(velocity)
+    pulse = force_pulse(struck.strike(CONTACT_RATE), struck.hammer)
     size = 2 ** math.ceil(math.log2(OVERSAMPLED * len(pulse.force)))
     magnitude = np.abs(np.fft.rfft(pulse.force, size)) * pulse.step
     return lambda frequency: np.interp(frequency, np.fft.rfftfreq(size, pulse.step), magnitude)
@@ -144,7 +146,7 @@ class Partials(NamedTuple):
     """The partials of a string [partials]."""
 
     frequency: np.ndarray  # Hz
-    impulse: np.ndarray  # response to 1 N s at the pickup
+    impulse: np.ndarray  # response at the pickup to a unit of the pulse of a stroke: 1 N s, or the release of 1 N
 
 
 def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) -> Partials:
@@ -161,6 +163,7 @@ def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) ->
     at, blur = beta * g.strike_position, np.exp(-2 * (beta * strike_sd * g.strike_position) ** 2)
     sine = np.sin(at)
     weight = weight / np.where(np.abs(sine) < 1e-9, 1e-9, sine) * np.sqrt((1 - blur * np.cos(2 * at)) / 2)
+    weight = weight * law_of(note.hammer).mode_excitation(omega)
     if is_force(note.quantity):  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
         sign = np.where(np.arange(count) % 2, -1.0, 1.0)
         return Partials(frequency, sign * 2 * weight * omega / (beta * g.length))

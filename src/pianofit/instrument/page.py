@@ -7,7 +7,7 @@ literature, and those of fits for the law.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, log_axis, make_fig
 from ..report.figures_recordings import GROUPS as COLOURS
 from ..schema.instrument import PartialEntry
 from .instrument import KEY_STATES, Instrument, Key
-from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression
+from .key_quantities import LOUDEST_VELOCITY, law_compression, law_quantities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,8 +60,10 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         evenness=instrument.evenness,
         beyond=instrument.beyond_strings,
         states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
+        unit=instrument.law.hammer_parameters[instrument.law.size].unit,
+        columns=[title for title, _ in _columns(instrument)],
         figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
-        rows=[_row(midi, key) for midi, key in instrument.keys.items()],
+        rows=[_row(midi, key, instrument) for midi, key in instrument.keys.items()],
         loudest=f"{LOUDEST_VELOCITY:g}",
         u_low=1e3 * law_compression(LOWEST_KEY),
         u_high=1e3 * law_compression(HIGHEST_KEY),
@@ -69,32 +71,58 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
     )
 
 
-def _row(midi: int, key: Key) -> dict[str, Any]:
-    s, h, g, fit = key.note.string, key.note.hammer, key.note.geometry, key.fit
-    u, force = 1e3 * law_compression(midi), key.values["F/M_S"].value
-    rounded = [key.values["B"].value, s.b1, s.b2, 1e3 * h.M_H, 1e3 * g.mass, u, force * g.mass, force, h.K_H]
-    cells = [
-        f"{key.note.f0:.2f}",
-        *(number(x, 3) for x in rounded),
-        f"{h.p:.3f}",
-        number(h.mu, 2),
-        str(fit.recordings) if fit else "–",
-        f"{fit.levels_db:.2f}" if fit and fit.levels_db is not None else "–",
+def _columns(instrument: Instrument) -> list[tuple[str, Callable[[int, Key], str]]]:
+    """Titles of the columns of numbers, and their cells."""
+    string: list[tuple[str, Callable[[int, Key], str]]] = [
+        ("f₀, Hz", lambda _, key: f"{key.note.f0:.2f}"),
+        ("B", lambda _, key: number(key.values["B"].value, 3)),
+        ("b₁, 1/s", lambda _, key: number(key.note.string.b1, 3)),
+        ("b₂, m²/s", lambda _, key: number(key.note.string.b2, 3)),
+        ("M<sub>S</sub>, g", lambda _, key: number(1e3 * key.note.geometry.mass, 3)),
+        ("x₀/L", lambda _, key: number(key.values["x0/L"].value, 3)),
     ]
+    return (
+        string
+        + (_hammer_columns() if instrument.law.key_quantities else [])
+        + [
+            ("recordings", lambda _, key: str(key.fit.recordings) if key.fit else "–"),
+            (
+                "levels, dB",
+                lambda _, key: "–" if not key.fit or key.fit.levels_db is None else f"{key.fit.levels_db:.2f}",
+            ),
+        ]
+    )
+
+
+def _hammer_columns() -> list[tuple[str, Callable[[int, Key], str]]]:
+    return [
+        ("M<sub>H</sub>, g", lambda _, key: number(1e3 * key.note.hammer.M_H, 3)),
+        ("u, mm", lambda midi, _: number(1e3 * law_compression(midi), 3)),
+        ("F, N", lambda _, key: number(key.values["F/M_S"].value * key.note.geometry.mass, 3)),
+        ("F/M<sub>S</sub>, N/kg", lambda _, key: number(key.values["F/M_S"].value, 3)),
+        ("K<sub>H</sub>, N/m<sup>p</sup>", lambda _, key: number(key.note.hammer.K_H, 3)),
+        ("p", lambda _, key: f"{key.note.hammer.p:.3f}"),
+        ("μ, s/m", lambda _, key: number(key.note.hammer.mu, 2)),
+    ]
+
+
+def _row(midi: int, key: Key, instrument: Instrument) -> dict[str, Any]:
+    cells = [cell(midi, key) for _, cell in _columns(instrument)]
     moved = [f"{name} {x.own_fit.z:+.1f}" for name, x in key.values.items() if x.own_fit and abs(x.own_fit.z) > NAMED_Z]
     return {
         "note": midi_to_note(midi),
         "state": key.state,
         "cells": cells,
         "moved": ", ".join(moved),
-        "is_recorded": fit is not None,
+        "is_recorded": key.fit is not None,
     }
 
 
 def _draw(instrument: Instrument) -> dict[str, list[bytes]]:
     """SVGs of the panels, by figure."""
     with page_style():
-        figures = {name: [_law_panel(instrument, law) for law in names] for name, names in FIGURES.items()}
+        shown = {name: [law for law in names if law in instrument.laws] for name, names in FIGURES.items()}
+        figures = {name: [_law_panel(instrument, law) for law in laws] for name, laws in shown.items() if laws}
         others = [make_figure(draw, instrument) for draw in (_paths, _velocities, _residuals)]
         figures["sound"] = [_law_panel(instrument, "level"), *others]
         fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
@@ -109,7 +137,7 @@ def _law_panel(instrument: Instrument, name: str) -> Figure:
 
 
 def _law(axes: Axes, instrument: Instrument, name: str) -> None:
-    law, quantity = instrument.laws[name], LAW_QUANTITIES[name]
+    law, quantity = instrument.laws[name], law_quantities(instrument.law)[name]
     values = {midi: key.values[name] for midi, key in instrument.keys.items()}
     x = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
     if law.literature is not None:
@@ -191,4 +219,7 @@ def _velocities(axes: Axes, instrument: Instrument) -> None:
         axes.plot(*np.array(curve.layers).T, "o", ms=3.6, color=MEASURED)
     axes.plot(x, [curve.at(v) for v in x], color=FITTED, lw=1.5)
     _log(axes, [0.1, 10.0])
-    axes.set(title="hammer velocity; points: recorded layers", xlabel="MIDI velocity", ylabel="m/s", xlim=(0, 128))
+    law = instrument.law
+    unit = law.hammer_parameters[law.size].unit
+    size = law.hammer_parameters[law.size].meaning.removeprefix("initial ")
+    axes.set(title=f"{size}; points: recorded layers", xlabel="MIDI velocity", ylabel=unit, xlim=(0, 128))

@@ -18,6 +18,7 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..conversions import hertz_of
 from ..errors import ParameterError
+from ..felt import FeltLaw
 from ..key_prior import PRIOR_QUANTITIES, KeyPrior
 from .build import reference_values
 from .collect_fits import KeyFit
@@ -45,7 +46,7 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
     Raises
     ------
     ParameterError
-        Without a fit of another key.
+        Without a fit of another key, and for plucked strings.
 
     Examples
     --------
@@ -58,6 +59,8 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
     others = [key for key in keys if key.midi != midi]
     if not others:
         raise ParameterError(f"keys= has no fit of another key than {midi_to_note(midi)}; give at least one")
+    if (law := others[0].law).key_quantities != FeltLaw.key_quantities:
+        raise ParameterError(f"keys= are {law.words.verb}; a prior from other keys needs struck strings")
     literature = reference_values(others, [*(key.midi for key in others), midi])
     priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
     mean, covariance = predict_key([key.measured for key in others], literature, priors, midi)

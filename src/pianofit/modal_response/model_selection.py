@@ -17,8 +17,8 @@ import numpy as np
 
 from ..dsp.filters import resample
 from ..dsp.loudness import log_mel_distances
-from ..felt import law_of
 from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force_pulse
+from ..model.note import Note
 from ..result import FittedRecording, Result
 from ..schema.modal_response import RENDER_MODELS, FittedModalResponse, LayerEntry, ModalResponseEntry, RenderModel
 from ..threads import cores, one_blas_thread
@@ -28,13 +28,13 @@ from .shared_response import SharedResponse, estimate_shared_response
 
 
 class _LayerGroup(NamedTuple):
-    """The recordings of a key in one path group, by rising hammer velocity; the last is the reference."""
+    """The recordings of a key in one path group, by rising size of the stroke."""
 
     place: list[int]  # index in the fit
     fitted: list[FittedRecording]
     aligned: AlignedLayers
     forces: list[ForcePulse]
-    gain: np.ndarray  # from the fit [layers]
+    gain: np.ndarray  # from the fit; of plucks that of the reference recording [layers]
 
     def modes(self) -> list[PartialModes]:
         """The modes of all partials."""
@@ -46,9 +46,9 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
     """The fit with a modal response in its notes: aftersound, beating, knock and channels.
 
     A calibrated fit keeps the string model, because nothing between its string and its file is unknown. So does a fit
-    whose partials exceed the noise by too little for modes, and one without a contact whose force drives the modes.
+    whose partials exceed the noise by too little for modes.
     """
-    if result.fit.reference.gain_status == "given" or not law_of(result.note.hammer).has_contact:
+    if result.fit.reference.gain_status == "given":
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
@@ -76,12 +76,19 @@ def modal_response_of(result: Result) -> ModalResponse | None:
 
 def _layers(result: Result) -> _LayerGroup:
     place = result.fit.path_groups[result.fit.reference.path_group]
-    place.sort(key=lambda i: result.recordings[i].fitted.note.hammer.v_H0)
+    note_of = _notes(result, place)
+    place.sort(key=lambda i: float(note_of[i].size))
     fitted = [result.recordings[i] for i in place]
     aligned = align_layers([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
-    gain = np.array([layer.fitted.note.gain for layer in fitted])
-    forces = [force_pulse(x.fitted.simulation, float(x.fitted.note.hammer.v_H0)) for x in fitted]
+    gain = np.array([note_of[i].gain for i in place])
+    forces = [force_pulse(x.fitted.simulation, note_of[i].hammer) for i, x in zip(place, fitted, strict=True)]
     return _LayerGroup(place, fitted, aligned, forces, gain)
+
+
+def _notes(result: Result, place: list[int]) -> dict[int, Note]:
+    """The notes of recordings through the path of the reference recording, with its gain if they are plucks."""
+    gain = float(result.recordings[result.fit.reference_index].fitted.note.gain)
+    return {i: result.recordings[i].fitted.note.with_gain(gain) for i in place}
 
 
 def _left_out_distances(
@@ -148,9 +155,10 @@ def _attached(
         return dataclasses.replace(result, fit=dataclasses.replace(result.fit, modal_response=chosen))
     ringing = response.response if model == RENDER_MODELS[-1] else response.response.without_knock()
     recordings, best = list(result.recordings), list(result.minima_notes[0])
+    gain = float(best[result.fit.reference_index].gain)
     for place, late in zip(layers.place, response.delay, strict=True):
-        best[place] = best[place]._replace(modal_response=ringing)
-        recordings[place] = recordings[place].add_modal_response(ringing, float(late))
+        best[place] = best[place].with_gain(gain)._replace(modal_response=ringing)
+        recordings[place] = recordings[place].add_modal_response(ringing, float(late), gain)
     chosen = dataclasses.replace(chosen, response=ModalResponseEntry.of(ringing))
     return dataclasses.replace(
         result,

@@ -6,6 +6,8 @@ Poles p, patterns P (one complex number per mode and channel) and the knock belo
 velocity. The knock is a short kernel with all that is not a mode: the thump of soundboard and key, and the sound below
 the lowest partial. F is the force of a stroke, from string, hammer and felt. The velocity gain a, one complex number
 per mode, is the change with velocity v beyond the change that the force explains. It is 1 where the force explains all.
+A pluck is an impulse of the size of its static force, so its response is that to the release of 1 N: units of N s below
+are then N.
 
 The energy of a partial's modes without their interference, Σ |P_m|² exp(2 Re p_m t) over modes and channels, falls
 smoothly, first at the rate of the fast modes and then at that of the slow ones. Interference adds the beats.
@@ -14,13 +16,14 @@ smoothly, first at the rate of the fast modes and then at that of the slow ones.
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..conversions import BEATING_DB
 from ..dsp.damped_sums import sum_damped_modes, z_transform_at_poles
 from ..dsp.filters import convolve, resample
+from ..felt import law_of
 from ..io.number_format import summary
 from .output_path import at_velocity
 from .simulate import Simulation
@@ -44,11 +47,11 @@ ENVELOPE_STEP = 0.002
 
 
 class ForcePulse(NamedTuple):
-    """Force of a stroke from the first touch on."""
+    """Force of a stroke from the first touch on. A pluck has the impulse of its release, see `excitation.pluck`."""
 
-    force: np.ndarray  # [steps]
+    force: np.ndarray  # N; of a pluck N/s [steps]
     step: float  # s
-    velocity: float  # hammer velocity, m/s
+    velocity: float  # size of the stroke: hammer velocity, m/s, or static force, N
 
     def __repr__(self) -> str:
         return summary(self)
@@ -73,9 +76,18 @@ class ForcePulse(NamedTuple):
         return resample(np.pad(self.force, (edge, edge)), ratio, 1) / rate
 
 
-def force_pulse(stroke: Simulation, velocity: float) -> ForcePulse:
-    """Return the force of a simulated stroke with this hammer velocity, m/s."""
-    return ForcePulse(trim_trailing_zeros(np.asarray(stroke.pulse.force)), float(stroke.modes.step), velocity)
+def force_pulse(stroke: Simulation, hammer: Any) -> ForcePulse:
+    """Return the force of a simulated stroke by this hammer, or of a pluck."""
+    law, step = law_of(hammer), float(stroke.modes.step)
+    size = float(getattr(hammer, law.size))
+    if not law.has_contact:
+        return release_pulse(size, step)
+    return ForcePulse(trim_trailing_zeros(np.asarray(stroke.pulse.force)), step, size)
+
+
+def release_pulse(force: float, step: float) -> ForcePulse:
+    """Return the pulse of a pluck with this static force, N: an impulse of that size, in one step, s."""
+    return ForcePulse(np.array([force / step]), step, force)
 
 
 def trim_trailing_zeros(pulse: np.ndarray) -> np.ndarray:
@@ -132,6 +144,10 @@ class ModalResponse(NamedTuple):
         """Return the response with all velocities times `ratio`, for another velocity scale."""
         part = self.velocity_gain
         return self if part is None else self._replace(velocity_gain=part.scale_velocity(ratio))
+
+    def scale_partials(self, factor: np.ndarray) -> ModalResponse:
+        """Return the response with the amplitudes of partial k times `factor[k - 1]` [partials]."""
+        return self._replace(pattern=self.pattern * factor[np.maximum(self.partial, 1) - 1])
 
     def without_knock(self) -> ModalResponse:
         """Return the response with an empty knock."""

@@ -25,13 +25,18 @@ from .excite import excite
 from .free_response import level_db, modal_amplitudes
 from .knock_force import knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
-from .modes import mode_frequencies, mode_table
+from .modes import mode_frequencies, mode_table, raised_cosine_weights
 from .output_path import OutputPath, apply_filter, impulse_response, sample_at_modes
 from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
 
 MAX_SECONDS = 600.0
 # More samples would not fit into the memory of an ordinary machine.
 MAX_SAMPLES = 2**25
+# Largest factor of the measured level of a partial by another plucking position. The level of a partial with a node at
+# the measured position is error.
+LARGEST_CHANGE = 10.0
+# Weight of a partial at a node.
+TINY = 1e-9
 # Signal rate for which `Note.levels` chooses the contact rate, Hz.
 LEVEL_RATE = 44_100.0
 # All velocities get the steps of the slowest contact (at most this velocity, m/s) times a factor, in whole blocks.
@@ -94,11 +99,39 @@ class Note(NamedTuple):
         )
 
     def with_stroke(self, value: Any) -> Note:
-        """Return the note with another hammer velocity, m/s, or plucking position, m."""
+        """Return the note with another hammer velocity, m/s, or plucking position, m.
+
+        A new position changes the measured levels of partials as it changes those of the string model, by at most
+        `LARGEST_CHANGE`.
+        """
         name = law_of(self.hammer).stroke.name
         if name in self.hammer._fields:
             return self._replace(hammer=self.hammer._replace(**{name: value}))
-        return self._replace(geometry=self.geometry._replace(**{GEOMETRY_FIELDS[name]: value}))
+        geometry, response = self.geometry._replace(**{GEOMETRY_FIELDS[name]: value}), self.modal_response
+        if response is not None:
+            count = int(response.partial.max(initial=1))
+            before, after = (raised_cosine_weights(g, count, np) for g in (self.geometry, geometry))
+            ratio = after / np.where(np.abs(before) < TINY, TINY, before)
+            response = response.scale_partials(np.clip(ratio, -LARGEST_CHANGE, LARGEST_CHANGE))
+        return self._replace(geometry=geometry, modal_response=response)
+
+    @property
+    def size(self) -> Any:
+        """Size of the stroke: hammer velocity, m/s, or static force of a pluck, N."""
+        return getattr(self.hammer, law_of(self.hammer).size)
+
+    def with_size(self, size: Any) -> Note:
+        """Return the note with a stroke of another size: hammer velocity, m/s, or static force of a pluck, N."""
+        return self._replace(hammer=self.hammer._replace(**{law_of(self.hammer).size: size}))
+
+    def with_gain(self, gain: float) -> Note:
+        """Return the same sound with another gain, if the size of the stroke is a factor of it; else the note itself.
+
+        Recordings of plucks through one path then have one gain, and differ in size.
+        """
+        if not law_of(self.hammer).size_is_gain:
+            return self
+        return self.with_size(self.size * abs(self.gain / gain))._replace(gain=np.copysign(gain, self.gain))
 
     def with_velocity(self, velocity: float) -> Note:
         """Return the note with another hammer velocity, m/s.
@@ -199,14 +232,13 @@ class Note(NamedTuple):
         if self.modal_response is None:
             sound = self._render_string_model(strike, rate, count)[None]
         else:
-            sound = self.gain * self.modal_response.sound(
-                force_pulse(strike, float(self.hammer.v_H0)), round(rate), count
-            )
+            sound = self.gain * self.modal_response.sound(force_pulse(strike, self.hammer), round(rate), count)
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 
     def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
         """Render the modes of the string through the path, from the contact on [count]."""
-        modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain)
+        pickup, free = (np.asarray(x) * self.gain for x in (strike.modes.pickup, strike.modes.free_pickup))
+        modes = strike.modes._replace(pickup=pickup, free_pickup=free)
         return self.through_path(strike._replace(modes=modes).waveform(rate, count), modes.pole, rate)
 
     def through_path(self, sound: np.ndarray, pole: Any, rate: float) -> np.ndarray:

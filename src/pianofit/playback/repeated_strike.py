@@ -13,16 +13,15 @@ import numpy as np
 
 from ..dsp.damped_sums import AMPLITUDE_FLOOR
 from ..errors import FitError, ParameterError
-from ..felt import RelaxingHammer, SoftHammer, is_builtin, law_of
+from ..felt import is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
 from ..model.differentiable_sums import BLOCK, real_powers
-from ..model.modal_response import ForcePulse, trim_trailing_zeros
+from ..model.modal_response import ForcePulse, release_pulse, trim_trailing_zeros
 from ..model.modes import MAX_RELATIVE_FREQUENCY, Modes, mode_table
 from ..model.note import Note
 from ..model.output_path import impulse_response, sample_at_modes
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_STEPS, contact_rate, count_modes
-from ..parameters import Hammer
 
 LEAST_MODES = 64
 # First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MOST_STEPS`.
@@ -35,9 +34,10 @@ class StringTables(NamedTuple):
     modes: Modes
     powers: tuple[np.ndarray, np.ndarray]  # powers of the poles for the steps of a block, see `model.contact`
     rate: float  # of the contact, Hz
-    unit: np.ndarray  # complex: amplitude that a unit T leaves, m/N, in physical displacement
+    unit: np.ndarray  # complex: amplitude that a unit T, or the release of 1 N, leaves, m/N, in physical displacement
     drive: np.ndarray  # complex: the same in file units, before the output path
     pickup: np.ndarray  # complex: signal = Re(pickup · a) before the output path, for a displacement q = Re(a)
+    per_impulse: np.ndarray  # complex: amplitude after a unit impulse of the `ForcePulse`, file units before the path
     faint: np.ndarray  # largest |pickup · a| that is inaudible behind the output path, file units: -160 dB
     path: np.ndarray | None  # impulse response of the output path at the signal rate [samples]
 
@@ -75,29 +75,40 @@ def string_tables(note: Note, rate: float) -> StringTables:
     warp = angle / (np.sin(angle) * np.cos(angle))
     gain = np.where(omega < np.pi * rate, note.gain, 0.0)
     pickup = gain * modes.free_pickup
+    unit, drive = unit * warp, gain * modes.pickup * unit
+    per_impulse = 2 * contact * drive  # a step of force F lasts 1/contact and has T = 2 F
+    if not (law := law_of(note.hammer)).has_contact:
+        unit = law.displacement(modes, note.with_size(1.0).hammer) * (
+            1 + 1j * np.real(modes.free_rate) / np.imag(modes.free_rate)
+        )
+        drive = per_impulse = pickup * unit
     faint = np.full(len(pole), AMPLITUDE_FLOOR) if path is None else AMPLITUDE_FLOOR * 10 ** (-path.db / 20)
     return StringTables(
         modes,
         (re, im),
         contact,
-        unit * warp,
-        gain * modes.pickup * unit,
+        unit,
+        drive,
         pickup,
+        per_impulse,
         faint,
         impulse_response(path, rate),
     )
 
 
-def strike_string(
-    table: StringTables, hammer: Hammer | SoftHammer | RelaxingHammer, state: np.ndarray, where: str
-) -> tuple[np.ndarray, ForcePulse]:
+def strike_string(table: StringTables, hammer: Any, state: np.ndarray, where: str) -> tuple[np.ndarray, ForcePulse]:
     """Strike a string that moves as q = Re(state · exp(p t)), state complex [modes]; return T [steps] and the force.
+
+    A pluck has the T of one step that leaves its static displacement.
 
     Raises `FitError`, which names `where`, if the hammer stays on the string. Raises `ParameterError` for a felt law
     that is not built in.
     """
     if not is_builtin(law := law_of(hammer)):  # its code may change between runs, but compiled programs are kept
         raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or a built-in law")
+    if not law.has_contact:
+        size = float(getattr(hammer, law.size))
+        return np.array([size]), release_pulse(size, 1 / table.rate)
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS

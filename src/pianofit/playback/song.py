@@ -54,7 +54,7 @@ class PlayOptions(NamedTuple):
     ----------
     pedal_range : values of controller 64 for half pedal.
     resonance : how much free strings sound when others excite them, from 0 (not at all) to 1 (as if all strings stood
-        at one point of the bridge).
+        at one point of the bridge). Plucked strings do not resonate, see `Instrument.resonates`.
     noise : whether to add the noise floor of the recordings.
     seed : seed of the noise floor.
     gain_db : gain before the limiter, dB.
@@ -141,6 +141,7 @@ def render_song(
         instrument.note(key, 64)  # reject a missing key before the computation starts
     if options.noise and instrument.noise is None:
         raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
+    resonance = options.resonance if instrument.resonates else 0.0
     pedal_range, end = options.pedal_range, song.seconds + LAST_HELD
     unplayed = _events(key_motions(song, -1, pedal_range, end), rate)
     contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)))
@@ -159,15 +160,15 @@ def render_song(
             last = max(last, stop)
             strokes += [stroke for stroke, _ in struck]
             hits += [was_moving for _, was_moving in struck]
-            progress("playing", (0.7 if options.resonance else 0.98) * len(hits) / song.notes)
-    if options.resonance and strokes:
+            progress("playing", (0.7 if resonance else 0.98) * len(hits) / song.notes)
+    if resonance and strokes:
         added = render_resonance(
             instrument,
             strokes,
             contact,
             rate,
             size - lead,
-            options.resonance,
+            resonance,
             lambda share: progress("playing", 0.7 + 0.28 * share),
         )
         total[:, lead:] += added
@@ -235,8 +236,8 @@ def _phrases(
         if event.velocity:
             begin = begin if sounds else at
             was_moving, touch = string.in_motion, at
-            velocity = instrument.note(string.midi, event.velocity).hammer.v_H0
-            sounds.append(string.strike(velocity, event.soft)[:, : size - at])
+            strength = instrument.note(string.midi, event.velocity).size
+            sounds.append(string.strike(strength, event.soft)[:, : size - at])
             at += sounds[-1].shape[-1]
             struck.append((Stroke(string.midi, touch, at, string.modes.state, string.force), was_moving))
 

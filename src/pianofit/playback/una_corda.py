@@ -41,7 +41,7 @@ class UnaCorda:
 
     def hammer(self, hammer: AnyHammer) -> AnyHammer:
         """Return the hammer as the pedal moves it."""
-        return hammer._replace(K_H=self.felt * hammer.K_H)
+        return hammer if self.felt == 1.0 else hammer._replace(K_H=self.felt * hammer.K_H)
 
     def weights(self, response: ModalResponse) -> np.ndarray:
         """Amplitudes of modes over those without the pedal [modes], or [1] without it: 1 for aftersound, else `share`.

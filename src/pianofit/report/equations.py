@@ -37,6 +37,8 @@ MODES = {
     "Modes of the key": (r"s(t) = g F(t) ∗ (\op{Re} ∑_m r_m P_m \op{e}^{λ_m t} + h(t))",),
     "Decay time": (r"T_{60} = \frac{3 \op{ln} 10}{α_k}",),
 }
+# The response P_m of a mode to the release of 1 N takes the place of that to an impulse.
+RELEASED_MODES = {"Modes of the key": (r"s(t) = g F (\op{Re} ∑_m r_m P_m \op{e}^{λ_m t} + h(t))",)}
 
 # Symbol -> meaning and unit of all symbols that are not parameters.
 VARIABLES = {
@@ -100,7 +102,8 @@ def equations(fit: Fit, law: Excitation) -> dict[str, list]:
     hammer: dict[str, tuple[str, ...]] = {"Hammer": HAMMER, f"Felt: {fit.felt}": law.formula or USER_LAW}
     string: dict[str, tuple[str, ...]] = {"String": STRING}
     lines = string | (hammer if law.has_contact else {law.words.player.capitalize(): law.formula})
-    lines |= (PATH if fit.pickup.path else GAIN) | (MODES if has_modes else {})
+    modes = MODES if law.has_contact else MODES | RELEASED_MODES
+    lines |= (PATH if fit.pickup.path else GAIN) | (modes if has_modes else {})
     return {
         "lines": [(name, [_set(formula) for formula in formulas]) for name, formulas in lines.items()],
         "symbols": _table(fit, lines),

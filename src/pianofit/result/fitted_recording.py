@@ -49,10 +49,13 @@ class FittedRecording:
         """The fitted sound: with the modal response if the fit has one, else with the string model only."""
         return self.with_modes or self.fitted
 
-    def add_modal_response(self, modal_response: ModalResponse, contact_delay: float) -> FittedRecording:
-        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
+    def add_modal_response(self, modal_response: ModalResponse, contact_delay: float, gain: float) -> FittedRecording:
+        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset.
+
+        `gain` is that of the reference recording, which plucks through one path share.
+        """
         fitted, recording = self.fitted, self.recording
-        note = fitted.note._replace(modal_response=modal_response)
+        note = fitted.note.with_gain(gain)._replace(modal_response=modal_response)
         contact = recording.onset + round(contact_delay * recording.rate)
         frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
         return replace(self, with_modes=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))

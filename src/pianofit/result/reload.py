@@ -100,14 +100,14 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
     return (
         compared
         if note.modal_response is None
-        else compared.add_modal_response(note.modal_response, _contact_delay(fit, notes, index))
+        else compared.add_modal_response(note.modal_response, _contact_delay(fit, notes, index), float(note.gain))
     )
 
 
 def _contact_delay(fit: Fit, notes: Sequence[Note], index: int) -> float:
-    """Time from the onset to the first contact, s. The layers of a modal response are a path group by velocity."""
+    """Time from the onset to the first contact, s. Layers of a modal response are a path group by size of stroke."""
     group = fit.path_groups[fit.recordings[index].path_group]
-    group.sort(key=lambda i: float(notes[i].hammer.v_H0))
+    group.sort(key=lambda i: float(notes[i].size))
     layers = () if fit.modal_response is None else fit.modal_response.layers
     if len(layers) != len(group):
         raise FitError("modal_response.layers must have an entry for each recording of the path group; fit again")

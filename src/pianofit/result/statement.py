@@ -143,7 +143,7 @@ def best_combination(fit: InferenceResult, a: str, b: str) -> str:
     variance at s = cov(a, b)/var(b).
     """
     u, posterior = fit.problem.parametrisation, fit.gauge_fixed
-    i, j = u.index_of(a), u.index_of(b)
+    i, j = (fit.problem.parameter_indices[name] for name in (a, b))
     if (a, b) == u.law.power:
         force = float(np.exp(fit.estimate.theta[i]))
         half = HALF_WIDTH_95 * posterior.sd(u.force_direction(fit.estimate.theta))

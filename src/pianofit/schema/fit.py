@@ -203,6 +203,12 @@ class Minimum:
     path_velocity_discrepancy: VelocityDiscrepancyEntry | None
     covariance: Covariance | None = None  # of the logarithms of the parameters and velocities
 
+    def values(self, fit: Fit) -> dict[str, float]:
+        """Return the parameters with that of the reference stroke of `fit`."""
+        strokes, index = self.stroke_values, fit.reference.stroke
+        own = {fit.stroke_name: float(strokes[index])} if 0 <= index < len(strokes) else {}
+        return own | self.parameters
+
 
 @dataclass(frozen=True)
 class DrawsFile:

@@ -15,17 +15,18 @@ from msgspec import Meta
 
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError
+from ..excitation import HAMMER
 from ..io.files import printable
 from ..parameters import PARAMETERS
 from .bridge import BridgeAdmittance
 from .dampers import Dampers
 from .decode import Number, convert, load_json
 from .extras import KeyNumber, NoiseEntry, SoundEntry
-from .fit import PathEntry, PickupQuantity
+from .fit import ExcitationName, PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
 INSTRUMENT_FILE = "instrument.json"
-INSTRUMENT_SCHEMA = 7
+INSTRUMENT_SCHEMA = 8
 # Largest instrument.json, bytes.
 LARGEST_INSTRUMENT = 2**25
 HINT = "give the instrument.json that pianofit instrument wrote"
@@ -42,7 +43,10 @@ KeyState = Literal["recorded", "interpolated", "extrapolated", "changed"]
 
 @dataclass(frozen=True)
 class VelocityCurve:
-    """Hammer velocity over MIDI velocity. Its logarithm is linear. The default is for keys without layers."""
+    """Hammer velocity over MIDI velocity. Its logarithm is linear. The default is for keys without layers.
+
+    For plucks the same numbers are forces, N.
+    """
 
     at_64: HammerVelocity = 1.3  # m/s
     rise: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.5  # of the logarithm, from 64 to 127
@@ -50,7 +54,7 @@ class VelocityCurve:
     layers: tuple[tuple[Number, Number], ...] = ()  # MIDI velocity and hammer velocity of each recorded layer
 
     def at(self, midi_velocity: float) -> float:
-        """Return the hammer velocity, m/s, at a MIDI velocity from 1 to 127."""
+        """Return the hammer velocity, m/s, or the force of a pluck, N, at a MIDI velocity from 1 to 127."""
         velocity = self.at_64 * math.exp(self.rise * (midi_velocity - 64) / 63)
         return float(np.clip(velocity, V_H0.lower, V_H0.upper))
 
@@ -100,7 +104,7 @@ class Layer:
     file: str
     sha256: str  # of its bytes
     contact: ContactTime  # time at which the hammer touches the string, s
-    velocity: HammerVelocity
+    velocity: HammerVelocity  # or the force of a pluck, N
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ class KeyEntry:
     note: str = ""
     state: KeyState | None = None
     string: StringEntry
-    hammer: HammerEntry
+    hammer: HammerEntry | None = None  # None for a pluck
     geometry: GeometryEntry
     gain: Gain
     path: PathEntry | None = None
@@ -193,6 +197,7 @@ class InstrumentFile:
     kind: Literal["instrument"] = "instrument"
     name: str = ""
     quantity: PickupQuantity
+    excitation: ExcitationName = HAMMER
     velocity: VelocityCurve
     laws: dict[str, KeyboardLaw] = field(default_factory=dict)
     keys: Annotated[tuple[KeyEntry, ...], Meta(min_length=1, max_length=HIGHEST_KEY - LOWEST_KEY + 1)]
@@ -208,6 +213,9 @@ class InstrumentFile:
         numbers = [key.midi for key in self.keys]
         if twice := {number for number in numbers if numbers.count(number) > 1}:
             raise ValueError(f"keys has two entries with midi = {min(twice)}")
+        wrong = [i for i, key in enumerate(self.keys) if (key.hammer is None) == (self.excitation == HAMMER)]
+        if wrong:
+            raise ValueError(f"keys[{wrong[0]}].hammer must be given with excitation = {HAMMER!r}, and only then")
 
 
 def read_instrument_file(path: str | os.PathLike[str]) -> InstrumentFile:

@@ -191,9 +191,11 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
         check({"c": c} | ({"v_H0": velocity} if fit.stroke_name == "v_H0" else {}), where)
     except ParameterError as error:
         raise FitError(str(error)) from None
-    own = note.with_stroke(velocity)._replace(string=note.string._replace(c=c), gain=stroke.gain)
+    # The measured modes of all recordings are those of the reference.
+    own = note._replace(modal_response=None, string=note.string._replace(c=c), gain=stroke.gain).with_stroke(velocity)
     if stroke.path_group == reference.path_group:
-        return own
+        response = note.modal_response
+        return own if response is None else own.with_gain(note.gain)._replace(modal_response=response)
     path = fit.pickup.paths.get(str(stroke.path_group))
     return own._replace(path=None if path is None else path.output_path, modal_response=None)
 

@@ -19,8 +19,8 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import A4, CENTS, HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, hertz_of
 from ..errors import FitError, ParameterError, check_range
 from ..instrument import find_fits, instrument_name, load_instrument, load_keys
-from ..instrument.build import ENOUGH_KEYS, reference_values
-from ..instrument.key_quantities import LAW_QUANTITIES, literature
+from ..instrument.build import ENOUGH_KEYS, published_values, reference_values
+from ..instrument.key_quantities import LAW_QUANTITIES, law_quantities
 from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurement, joint_laws
 from ..io.files import printable
 from ..io.number_format import counted
@@ -56,6 +56,7 @@ class Recorded(NamedTuple):
     reference: np.ndarray  # literature, on the scales of the laws [quantities, 88]
     responses: Mapping[int, ModalResponse]  # by MIDI number
     unconverged: tuple[int, ...]
+    has_unisons: bool = True  # keys with two or three strings; a plucked key has one
 
 
 def tuning(
@@ -123,7 +124,7 @@ def tuning_of(recorded: Recorded, posterior: JointLaws, a4: float, octave: Octav
         if midi not in measured:
             own["deviation"] = None
         own["curves"] = {name: curve[i] for name, curve in by_type.items()}
-        own |= _unison(midi, recorded.responses.get(midi))
+        own |= _unison(midi, recorded.responses.get(midi) if recorded.has_unisons else None)
         keys.append(TunedKey(midi=midi, note=midi_to_note(midi), recorded=midi in measured, **own))
     return _listed(recorded, tuple(keys), a4, octave)
 
@@ -177,14 +178,15 @@ def _contains_zero(estimate: IntervalValue) -> bool:
 def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
     warnings = []
     if not has_law:
+        source = "the literature" if recorded.has_unisons else "priors"
         warnings.append(
             f"Only {counted(len(recorded.keys), 'key')} measured, fewer than {ENOUGH_KEYS}. The shape of the laws "
-            "comes from the literature, and deviations from the law are not listed."
+            f"comes from {source}, and deviations from the law are not listed."
         )
     if recorded.unconverged:
         names = ", ".join(map(midi_to_note, recorded.unconverged))
         warnings.append(f"The fits of {names} did not converge; their intervals are doubled.")
-    if not recorded.responses:
+    if recorded.has_unisons and not recorded.responses:
         warnings.append("No fit has a modal response, so beats are not known.")
     return warnings
 
@@ -257,11 +259,12 @@ def _from_fits(paths: Sequence[Path], prefix: str | None) -> Recorded:
     keys = load_keys(files)
     return Recorded(
         prefix or instrument_name(files[0]) or printable(first.name if first.is_dir() else first.parent.name),
-        tuple(LAW_QUANTITIES),
+        tuple(law_quantities(keys[0].law)),
         tuple(key.measured for key in keys),
         reference_values(keys, KEYS.tolist()),
         {key.midi: key.note.modal_response for key in keys if key.note.modal_response is not None},
         tuple(key.midi for key in keys if not key.summary.converged),
+        keys[0].law.has_contact,
     )
 
 
@@ -278,10 +281,11 @@ def _from_instrument(path: Path, prefix: str | None) -> Recorded:
                 responses[midi] = key.note.modal_response
     if not keys:
         raise FitError(f"{printable(path)}: has no key with a fit; {HINT}")
-    rows = [literature(midi) for midi in KEYS.tolist()]
-    reference = np.array([LAW_QUANTITIES[name].scaled([row[name] for row in rows]) for name in CHOSEN])
+    mean = dict(zip(CHOSEN, np.mean([key.minima[0].mean for key in keys], axis=0), strict=True))
+    rows = [published_values(midi, instrument.law) for midi in KEYS.tolist()]
+    reference = np.array([[row.get(name, mean[name]) for row in rows] for name in CHOSEN])
     unconverged = tuple(m for m, key in instrument.keys.items() if key.fit is not None and not key.fit.converged)
-    return Recorded(instrument.name, CHOSEN, tuple(keys), reference, responses, unconverged)
+    return Recorded(instrument.name, CHOSEN, tuple(keys), reference, responses, unconverged, instrument.law.has_contact)
 
 
 def _measurement(fits: Sequence[OwnFit]) -> Measurement:

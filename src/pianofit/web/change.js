@@ -1,6 +1,6 @@
 // A key with changed parameters, and its force pulse and mode levels for the plots.
 
-import { Contact, FreeMotion, staticForce, unitAtStrike } from "./contact.js";
+import { Contact, FreeMotion, Release, staticForce, unitAtStrike } from "./contact.js";
 import { atVelocity, raisedCosineWeights } from "./prepare.js";
 
 const MOST_STEPS_DRAWN = 65536; // of a contact
@@ -23,19 +23,15 @@ export function partialOf(f, f0, B) {
   return Math.sqrt(B > 1e-12 ? (Math.sqrt(1 + 4 * B * (f / f0) ** 2) - 1) / (2 * B) : (f / f0) ** 2);
 }
 
+const within = (name, x) => x && Math.min(Math.max(x, BOUNDS[name][0]), BOUNDS[name][1]);
+
 /**
  * The key with changes: force (felt force at the reference compression), p, mu, mass (of the hammer), strike
  * (position), loss and inharmonicity. Measured partials shift with those of the string, and `loss` scales their decays.
  */
 export function changed(key, changes) {
   const c = { ...UNCHANGED, ...changes }, { hammer, geometry, string } = key;
-  const within = (name, x) => x && Math.min(Math.max(x, BOUNDS[name][0]), BOUNDS[name][1]);
-  const p = within("p", hammer.p + c.p), out = { ...key };
-  out.hammer = { p, mu: within("mu", hammer.mu * c.mu), M_H: within("M_H", hammer.M_H * c.mass),
-    ...(hammer.skin ? { skin: hammer.skin } : {}) };
-  // The force at the reference compression does not change with p.
-  const before = staticForce(hammer, key.compression), unit = staticForce({ ...out.hammer, K_H: 1 }, key.compression);
-  out.hammer.K_H = within("K_H", (c.force * before) / unit);
+  const out = { ...key, hammer: hammer && changedHammer(hammer, key.compression, c) };
   const edge = geometry.width / 2, wanted = geometry.strike_position * c.strike;
   out.geometry = { ...geometry, strike_position: Math.min(Math.max(wanted, edge), geometry.length - edge) };
   out.string = { ...string, b1: within("b1", string.b1 * c.loss), b2: within("b2", string.b2 * c.loss),
@@ -63,10 +59,20 @@ export function changed(key, changes) {
   return out;
 }
 
+function changedHammer(hammer, compression, c) {
+  const out = { p: within("p", hammer.p + c.p), mu: within("mu", hammer.mu * c.mu), M_H: within("M_H", hammer.M_H * c.mass),
+    ...(hammer.skin ? { skin: hammer.skin } : {}) };
+  // The force at the reference compression does not change with p.
+  const before = staticForce(hammer, compression), unit = staticForce({ ...out, K_H: 1 }, compression);
+  return { ...out, K_H: within("K_H", (c.force * before) / unit) };
+}
+
 /** A stroke at rest: force, N, in steps of `step` s; and frequency, Hz, and initial level, dB, of each mode. */
 export function stroke(table, velocity) {
   const { string, response, hammer } = table;
-  const contact = new Contact(string, new FreeMotion(string, unitAtStrike(string)), hammer, velocity);
+  const contact = hammer
+    ? new Contact(string, new FreeMotion(string, unitAtStrike(string)), hammer, velocity)
+    : new Release(string, velocity);
   for (let steps = 1024; !contact.isOver && steps <= MOST_STEPS_DRAWN; steps *= 2) contact.advance(steps);
   const drive = table.isMeasured ? contact.force : contact.drive, unit = table.isMeasured ? string.step : 1;
   const { pole, gain } = response, { excitation } = atVelocity(response, velocity);

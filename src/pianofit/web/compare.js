@@ -34,7 +34,7 @@ class Compare {
     this.find("which").textContent = name;
     this.find("layers").replaceChildren();
     this.layers = layers.map(({ velocity }, i) =>
-      this._button("layers", `${velocity.toPrecision(2)} m/s`, () => this.choose(i, this.way)));
+      this._button("layers", `${velocity.toPrecision(2)} ${this.player.unit}`, () => this.choose(i, this.way)));
     this.layers.forEach((button, i) => (button.title = layers[i].name));
     this._mark("Press Play.");
   }
@@ -120,7 +120,7 @@ class Compare {
     this.find("play").textContent = playing ? "❚❚ Pause" : "▶ Play";
     this.layers?.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.layer)));
     this.ways.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.way)));
-    const source = this.way ? `the instrument at ${velocity?.toPrecision(2)} m/s` : name;
+    const source = this.way ? `the instrument at ${velocity?.toPrecision(2)} ${this.player.unit}` : name;
     this.find("said").textContent = words ?? `${playing ? "Playing" : "Selected"}: ${source}.`;
   }
 }

@@ -223,6 +223,15 @@ export class Contact {
   }
 }
 
+/** A pluck with a force, N, as a contact of one step: its drive leaves the static displacement (playback/voice.py). */
+export class Release {
+  constructor({ step }, force) {
+    Object.assign(this, { last: 0, isOver: true, drive: Float64Array.of(force), force: Float64Array.of(force / step) });
+  }
+
+  advance() {}
+}
+
 /** Static force, N, of a felt at a compression, m. */
 export function staticForce({ K_H, p, skin = 0 }, compression) {
   return K_H * (skin ? compression ** 2 / (compression + skin) : compression) ** p;

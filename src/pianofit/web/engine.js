@@ -5,7 +5,7 @@
 // short kernel (see prepare.js). Between strokes the state is one complex amplitude per mode. All numbers are 64-bit.
 // This module uses no DOM and no libraries.
 
-import { BLOCK, Contact, FreeMotion, addDamped, addDriven, expPole, grown, reversedDot, unitAtStrike, workspace }
+import { BLOCK, Contact, FreeMotion, Release, addDamped, addDriven, expPole, grown, reversedDot, unitAtStrike, workspace }
   from "./contact.js";
 import { Dampers, softHammer, unaCorda } from "./pedals.js";
 import { atVelocity } from "./prepare.js";
@@ -13,6 +13,7 @@ import { releaseGain } from "./release.js";
 import { HOP_BLOCKS, Resonance } from "./resonance.js";
 
 const FAINT = 1e-8; // of full scale, -160 dB; smaller modes are not computed
+const STOP_RATE = 2000; // 1/s, decay of a string that a finger stops before it plucks it again, see playback/voice.py
 const GONE = 1e-40; // squared state, m² or (N s)², that counts as zero
 
 /** Freely vibrating modes with amplitudes re + i im. The output of a channel is Re(gain · amplitude). */
@@ -128,20 +129,37 @@ class Voice {
     Object.assign(this, { table, rate, delayBlocks, hammer: table.hammer, contact: null, strokes: [], waiting: [] });
     this.delayed = [delayBlocks, response.lead / BLOCK].map((n) => new Array(n).fill(0)); // contacts of the damper
     this.damper = 0; // contact of the damper
+    this.stopped = []; // motions that a finger ends
   }
 
   get silent() {
-    return this.modes.atRest && !this.contact && !this.strokes.length && !this.waiting.length;
+    return this.modes.atRest && ![this.contact, ...this.strokes, ...this.waiting, ...this.stopped].some(Boolean);
   }
 
   _begin({ velocity, soft, onBegin }) {
-    const { table, rate, string } = this, state = string.atRest ? null : string, pedal = unaCorda(table.strings, soft);
-    this.contact = new Contact(table.string, this.kernel, softHammer(this.hammer, pedal), velocity, state);
+    const { table, rate, string } = this, state = string.atRest ? null : string;
+    const pedal = unaCorda(table.strings, table.hammer ? soft : 0);
+    this.contact = table.hammer
+      ? new Contact(table.string, this.kernel, softHammer(this.hammer, pedal), velocity, state)
+      : new Release(table.string, velocity);
+    if (!table.hammer && !table.isMeasured) this._stop();
     const impulses = table.isMeasured ? new Impulses(table, rate) : null, { re, im } = table.string.excitation;
     const drive = pedal.share === 1 ? { re, im } : { re: re.map((x) => pedal.share * x), im: im.map((x) => pedal.share * x) };
     const response = atVelocity(table.response, velocity, pedal.share);
     this.strokes.push({ contact: this.contact, impulses, at: 0, drive, ...response });
     onBegin?.(this.contact, response.velocityFactor, pedal.share);
+  }
+
+  /** Let a finger end the motion of the string, from the next block that sounds on. */
+  _stop() {
+    const { modes, table, rate } = this, { pole } = table.isMeasured ? table.response : table.string;
+    if (modes.atRest) return;
+    const old = new ModeBank({ pole, gain: modes.gain, damping: modes.re.map(() => STOP_RATE) }, rate, 1);
+    old.re.set(modes.re);
+    old.im.set(modes.im);
+    old.atRest = false;
+    modes.stop();
+    this.stopped.push(old);
   }
 
   /** Add a block to out [channels]. */
@@ -151,6 +169,8 @@ class Voice {
     if (!this.contact && this.waiting[0]?.blocks < 0) this._begin(this.waiting.shift());
     const damper = delay(ofString, this.damper), contactNow = this.contact ? 0 : damper;
     if (table.isMeasured) string.advance(contactNow);
+    this.stopped.forEach((old) => old.ring(out, 1));
+    this.stopped = this.stopped.filter((old) => !old.atRest);
     modes.ring(out, delay(ofOutput, contactNow));
     for (const stroke of this.strokes) this._stroke(stroke, out);
     const { contact } = this, current = contact && this.strokes.find((stroke) => stroke.contact === contact);
@@ -163,7 +183,9 @@ class Voice {
     const { table, string, modes } = this, { response } = table, { contact, impulses, at } = stroke;
     const { ratio } = table.string, end = at + BLOCK;
     if (!contact.isOver) contact.advance((end + (impulses ? BLOCK : 0)) * ratio);
-    string.excite(stroke.drive, contact.drive, at * ratio, end * ratio);
+    if (!table.hammer && table.isMeasured && end === response.lead) this._stop();
+    // A measured string that is plucked has no contact for which it must be known.
+    if (table.hammer || !table.isMeasured) string.excite(stroke.drive, contact.drive, at * ratio, end * ratio);
     if (impulses) {
       impulses.upTo(end + response.edge, contact);
       const shift = response.edge - response.lead;

@@ -2,7 +2,7 @@
 
 import { pathOf, responseOf, soundOf } from "./note.js";
 
-const INSTRUMENT_SCHEMA = 7; // see schema/instrument.py
+const INSTRUMENT_SCHEMA = 8; // see schema/instrument.py
 // Laws whose values and intervals become invalid when a slider is changed.
 const LAWS_OF = { force: ["F/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], strike: ["x0/L"], loss: ["b1", "d2"],
   inharmonicity: ["B"] };
@@ -21,8 +21,9 @@ export function instrumentDocument({ name, velocity, even, bridge, dampers, rele
   if (volume !== 1) warnings.push(`The gains include the volume of the page, ${(20 * Math.log10(volume)).toFixed(0)} dB.`);
   return {
     schema: INSTRUMENT_SCHEMA, program: "pianofit", kind: "instrument", name, quantity: keys[0].key.quantity,
+    excitation: keys[0].key.hammer ? "hammer" : "pluck",
     velocity: { ...velocity, source: "page" }, keys: keys.map((entry) => rowOf(entry, volume)), warnings, even,
-    bridge, dampers, noise: noise && { ...noise, density: noise.density.map((row) => row.map((x) => x * volume ** 2)) },
+    ...(bridge ? { bridge } : {}), dampers, noise: noise && { ...noise, density: noise.density.map((row) => row.map((x) => x * volume ** 2)) },
     releases: releases.map(({ midi, sound, rate }) => ({ midi, sound: soundOf(sound, volume, rate) })),
   };
 }

@@ -228,7 +228,7 @@ class Keyboard {
 
   _controls() {
     const velocity = () => {
-      const { value } = byId("velocity"), words = `${value}, ${this.player.speed(Number(value)).toPrecision(2)} m/s`;
+      const { value } = byId("velocity"), words = `${value}, ${this.player.speed(Number(value)).toPrecision(2)} ${this.player.unit}`;
       byId("velocity-words").textContent = words;
       byId("velocity").setAttribute("aria-valuetext", words);
     };

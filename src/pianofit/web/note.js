@@ -36,6 +36,8 @@ export function responseOf({ modal_response: measured, gain }) {
   };
 }
 
+const feltOf = ({ skin, mu }) => (skin ? "soft-skin" : mu === 0 ? "power" : "hunt-crossley");
+
 /**
  * Document of a key with its changes, struck at `velocity`, m/s.
  *
@@ -43,15 +45,18 @@ export function responseOf({ modal_response: measured, gain }) {
  */
 export function noteDocument(key, { velocity, rate, origin }) {
   const { string, hammer, geometry, quantity, gain } = key;
-  const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike_position, width: geometry.width,
+  const values = { ...string, ...(hammer && { ...hammer, v_H0: velocity }), x0: geometry.strike_position, width: geometry.width,
     M_S: geometry.mass, L: geometry.length, pickup: geometry.pickup };
   const given = (value) => ({ value, interval: null, status: "given" });
   const response = key.modal_response ? responseOf(key) : null;
+  // The pluck of a file has a force of 1 N, so its gain contains the force.
+  const size = hammer ? 1 : velocity, velocityGain = response?.velocity_gain;
+  if (velocityGain) response.velocity_gain = { ...velocityGain, velocity: velocityGain.velocity.map((x) => x / size) };
   return {
     schema: SCHEMA, program: "pianofit", kind: "note", origin,
-    felt: hammer.skin ? "soft-skin" : hammer.mu === 0 ? "power" : "hunt-crossley",
+    excitation: hammer ? "hammer" : "pluck", felt: hammer ? feltOf(hammer) : "pluck",
     parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
-    recordings: [{ gain, rate }],
+    recordings: [{ gain: gain * size, rate }],
     pickup: { quantity, path: pathOf(key) },
     modal_response: response && { render_model: response.knock ? "modes and knock" : "modes", response },
   };

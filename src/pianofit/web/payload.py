@@ -18,6 +18,7 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import hertz_of
 from ..dsp.filters import resample
 from ..errors import ParameterError
+from ..felt import law_of
 from ..felt.soft_skin import SOFT_SKIN, SoftHammer
 from ..instrument import Instrument
 from ..instrument.noise_floor import noise_entry
@@ -83,7 +84,7 @@ def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
         "name": instrument.name,
         "velocity": {"at_64": instrument.velocity.at_64, "rise": instrument.velocity.rise},
         "even": instrument.even,
-        "bridge": builtins_of(instrument.bridge),
+        "bridge": builtins_of(instrument.bridge) if instrument.resonates else None,
         "dampers": builtins_of(instrument.dampers),
         "releases": _releases(instrument, knocks),
         "noise": _noise(instrument),
@@ -168,15 +169,17 @@ def encode_note(
     ParameterError
         For a relaxing felt and a felt law that is not built in.
     """
-    if not isinstance(note.hammer, Hammer | SoftHammer):
+    law = law_of(note.hammer)
+    if law.key_quantities and not isinstance(note.hammer, Hammer | SoftHammer):
         raise ParameterError(
             f"key {midi_to_note(midi)}: a page does not play a {type(note.hammer).__name__}; fit the key with "
             f"--felt {SOFT_SKIN.name}"
         )
     entry: dict[str, Any] = {
-        part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != "v_H0"}
+        part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != law.size}
         for part in ("string", "hammer", "geometry")
     }
+    entry["hammer"] = entry["hammer"] or None  # a pluck has its size only
     entry |= {"quantity": note.quantity, "gain": float(note.gain)}
     entry |= {"damper": _damper(midi, dampers or Dampers()), "strings": typical_strings(midi)}
     entry |= {"compression": reference_compression(midi)}

@@ -48,7 +48,17 @@ class Player {
     this.now = { ...Object.fromEntries(this.keys) }; // keys with the changes of the sliders
   }
 
-  /** Hammer velocity, m/s, of MIDI velocity 1 to 127. */
+  /** Whether the strings are struck by hammers, or else plucked. */
+  get isStruck() {
+    return Boolean([...this.keys.values()][0].hammer);
+  }
+
+  /** Unit of the size of a stroke: a velocity or a force. */
+  get unit() {
+    return this.isStruck ? "m/s" : "N";
+  }
+
+  /** Size of a stroke, hammer velocity, m/s, or force of a pluck, N, of MIDI velocity 1 to 127. */
   speed(midiVelocity) {
     const { at_64: middle, rise } = this.velocity;
     return Math.min(Math.max(middle * Math.exp((rise * (midiVelocity - 64)) / 63), 0.01), 20);

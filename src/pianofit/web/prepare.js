@@ -121,7 +121,7 @@ export function modeTable(key, rate) {
   const weights = raisedCosineWeights(geometry, count), column = () => new Float64Array(count);
   const pair = () => ({ re: column(), im: column() });
   // strikeWeight: Φ; unit: amplitude that a unit T leaves, m/N, in the numerical scheme; excitation: the same in
-  // physical displacement; pickup: signal per displacement; mass and omega2: those of the scheme, for its energy.
+  // physical displacement, or that of the release of 1 N; pickup: signal per displacement; mass and omega2: those of the scheme, for its energy.
   const t = { step, strikeWeight: column(), unit: pair(), excitation: pair(), pole: pair(), pickup: pair(),
     compliance: 0, mass: column(), omega2: column(), modes: 0 };
   for (let k = 0; k < count; k++) {
@@ -139,6 +139,10 @@ export function modeTable(key, rate) {
     t.unit.re[k] = q;
     t.unit.im[k] = -(v + damping * q) / Math.sqrt(omega2 - damping ** 2);
     [t.excitation.re[k], t.excitation.im[k]] = [t.unit.re[k] * warp, t.unit.im[k] * warp];
+    if (!key.hammer) { // the static displacement under 1 N, see excitation/pluck.py
+      const q0 = (2 * weight) / (geometry.mass * omega ** 2);
+      [t.excitation.re[k], t.excitation.im[k]] = [q0, (-q0 * alpha) / turn];
+    }
     [t.pole.re[k], t.pole.im[k]] = [-alpha, turn];
     [t.pickup.re[k], t.pickup.im[k]] = pickupOf(key, beta, k, alpha, turn);
     t.compliance += (weight * drive) / omega2;
@@ -346,7 +350,7 @@ export function atVelocity(response, velocity, share = 1) {
 /**
  * All tables that the engine needs of a key at a rate, Hz.
  *
- * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H}, geometry: {length, mass, strike_position, width,
+ * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H} or null for a pluck, geometry: {length, mass, strike_position, width,
  * pickup}, quantity, gain, strings, damper, path?: {frequency, db}, modal_response?: {partial, pole, modal_amplitudes: [channel],
  * knock: [channel], rate, velocity_gain?: {velocity, strokes}}}. `pole` and the elements of `modal_amplitudes` and
  * `strokes` are {re, im}. Amplitudes are in file units per N s.

@@ -58,6 +58,6 @@ def note_payload(note: Note) -> dict[str, Any]:
     midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)
     return {
         "name": "a note in Python",
-        "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
+        "velocity": {"at_64": float(note.size), "rise": 1.5},
         "keys": [{"midi": midi, "note": f"{f0:.2f} Hz", "recorded": True, **encode_note(note, midi)}],
     }

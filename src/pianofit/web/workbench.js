@@ -2,11 +2,11 @@
 
 // Changes for `changed` of change.js. Every slider except that of the exponent is a factor on a logarithmic scale.
 const SLIDERS = [
-  { name: "force", words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
-  { name: "p", words: "Felt exponent p", from: -1, to: 1, unit: "" },
-  { name: "mu", words: "Felt loss coefficient μ", from: 0.125, to: 8, unit: "s/m" },
-  { name: "mass", words: "Hammer mass", from: 0.25, to: 4, unit: "g" },
-  { name: "strike", words: "Strike position", from: 0.25, to: 4, unit: "of the length" },
+  { name: "force", ofHammer: true, words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
+  { name: "p", ofHammer: true, words: "Felt exponent p", from: -1, to: 1, unit: "" },
+  { name: "mu", ofHammer: true, words: "Felt loss coefficient μ", from: 0.125, to: 8, unit: "s/m" },
+  { name: "mass", ofHammer: true, words: "Hammer mass", from: 0.25, to: 4, unit: "g" },
+  { name: "strike", words: "Position of the stroke", from: 0.25, to: 4, unit: "of the length" },
   { name: "loss", words: "String losses", from: 0.125, to: 8, unit: "1/s for partial 1" },
   { name: "inharmonicity", words: "Inharmonicity B", from: 0.125, to: 8, unit: "" },
 ];
@@ -39,7 +39,9 @@ class Workbench {
     Object.assign(this, { player, say, midi: null, all: {}, single: new Map(), past: [] });
     this.root = byId("workbench");
     this.forAll = byId("for-all");
-    this.inputs = new Map(SLIDERS.map((slider) => [slider.name, this._slider(slider)]));
+    this.sliders = SLIDERS.filter(({ ofHammer }) => player.isStruck || !ofHammer);
+    byId("pulse").closest("figure").hidden = !player.isStruck;
+    this.inputs = new Map(this.sliders.map((slider) => [slider.name, this._slider(slider)]));
     byId("undo").onclick = () => this.undo();
     byId("reset").onclick = () => this.reset();
     byId("save-note").onclick = () => this.save();
@@ -143,7 +145,7 @@ class Workbench {
     this.root.hidden = false;
     byId("which").textContent = name;
     const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
-    for (const { name: slider, unit, words } of SLIDERS) {
+    for (const { name: slider, unit, words } of this.sliders) {
       const { input, title, value, back } = this.inputs.get(slider), added = ADDED[slider]?.(key, this.player);
       title.textContent = words + (added?.words ?? "");
       value.textContent = `${shortened(SHOWN[slider](key, this.player))} ${unit}`.trim() + (added?.value ?? "");
@@ -165,11 +167,11 @@ class Workbench {
     const peak = Math.max(...now.force), end = Math.max(now.force.length, fitted.force.length) * now.step;
     const shown = (x) => x.toPrecision(3), lasts = 1e3 * now.force.length * now.step;
     byId("pulse-words").textContent =
-      `Force pulse at ${shown(velocity)} m/s: peak ${shown(peak)} N, contact ends after ${shown(lasts)} ms.`;
+      `Force pulse at ${shown(velocity)} ${player.unit}: peak ${shown(peak)} N, contact ends after ${shown(lasts)} ms.`;
     const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
     const both = [...(isChanged ? [[fitted, colour("--edge")]] : []), [now, colour("--fitted")]];
     const most = 1.05 * Math.max(peak, ...fitted.force);
-    paint("pulse", [0, 1e3 * end, "ms"], [0, most, "N"], (pen, x, y) => {
+    if (player.isStruck) paint("pulse", [0, 1e3 * end, "ms"], [0, most, "N"], (pen, x, y) => {
       for (const [{ force, step }, ink] of both) {
         pen.strokeStyle = ink;
         pen.lineWidth = 2;

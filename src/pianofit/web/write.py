@@ -89,6 +89,7 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
         scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS,
         title=instrument.name or "Piano",
         instrument=payload,
+        is_plucked=not instrument.law.has_contact,
         modules={"engine": engine_source(), "worklet": script_source("worklet.js")},
         recorded=len(instrument.recorded),
         guesses=instrument.guesses + by_hand,

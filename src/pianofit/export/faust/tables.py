@@ -90,10 +90,10 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     note = instrument.note(midi, 64)
     table = string_tables(note, RATE)
     at_rest = np.zeros(len(table.modes.pole), complex)
-    hammers = [instrument.note(midi, int(velocity)).hammer for velocity in VELOCITIES]
+    strokes = [instrument.note(midi, int(velocity)) for velocity in VELOCITIES]
     forces = []
-    for hammer in hammers:
-        drive, force = strike_string(table, hammer, at_rest, f"key {midi}")
+    for stroke in strokes:
+        drive, force = strike_string(table, stroke.hammer, at_rest, f"key {midi}")
         force = force if note.modal_response is not None else force._replace(force=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
@@ -102,7 +102,7 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     excitation = force @ np.exp(-np.outer(np.arange(force.shape[1]) - FILTER_REACH - MARGIN, pole) / RATE) / RATE
     kept = _loudest(excitation, pole, pattern, most_modes)
     factors = _factorise(force[None], _basis(force, excitation[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
-    velocities = [hammer.v_H0 for hammer in hammers]
+    velocities = [stroke.size for stroke in strokes]
     stroke_index = np.interp(np.log(velocities), np.log(measured), np.arange(len(measured)))
     kept_pattern = pattern[:channels, kept]
     if len(pattern) == 1:
