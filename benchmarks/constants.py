@@ -149,7 +149,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
 def panel() -> tuple[float, float]:
     """Return the median error of predictions, dB, and the rms error of fits, standard errors; NaN if not available."""
-    import coverage
+    import interval_coverage
     import crossval
 
     errors = []
@@ -160,7 +160,7 @@ def panel() -> tuple[float, float]:
     misses = [
         row["miss"]
         for seed in SEEDS
-        for row in coverage.judge(("model", seed, 0.0)).get("rows", [])
+        for row in interval_coverage.judge(("model", seed, 0.0)).get("rows", [])
         if row["miss"] is not None and row["status"] in ("fitted", "scaled")
     ]
     error = statistics.median(errors) if errors else float("nan")
