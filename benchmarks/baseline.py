@@ -21,9 +21,8 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 import numba
+import numpy as np
 
 TOLERANCE = 1e-9
 ROUNDING = 4 * np.finfo(float).eps

@@ -149,8 +149,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
 def panel() -> tuple[float, float]:
     """Return the median error of predictions, dB, and the rms error of fits, standard errors; NaN if not available."""
-    import interval_coverage
     import crossval
+    import interval_coverage
 
     errors = []
     if os.environ.get("PIANOFIT_RECORDINGS") or Path(crossval.FOLDERS.split(":")[0]).is_dir():

@@ -1,4 +1,4 @@
-"""Twins for `interval_coverage.py`: recordings of strings, hammers and paths that are drawn at random, and so are known.
+"""Twins for `interval_coverage.py`: recordings of strings, hammers and paths drawn at random, and so known.
 
 A twin is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior that a fit has,
 about the literature's for the key (`published.typical`), its string with some scatter: intervals that are right then

@@ -1,9 +1,9 @@
 """Do the 95 % intervals hold the truth? Twins with known parameters, fitted, and counted.
 
     python benchmarks/interval_coverage.py                              20 demo twins, and one without any noise
-    python benchmarks/interval_coverage.py --kind model --seeds 100    strings, hammers, paths and strokes drawn at random
+    python benchmarks/interval_coverage.py --kind model --seeds 100    strings, hammers, paths and strokes drawn
     python benchmarks/interval_coverage.py --kind brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
-    python benchmarks/interval_coverage.py --kind same-window --seeds 50   the same, with the contact's window of the program
+    python benchmarks/interval_coverage.py --kind same-window --seeds 50   the same, with the program's contact window
 
 A study that was cut off goes on where it stopped with the same `--keep`.
 

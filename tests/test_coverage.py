@@ -148,8 +148,8 @@ def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     kept.write_text(json.dumps(refused) + "\n")
     monkeypatch.setattr(
         sys, "argv",
-        ["interval_coverage", "--kind", "model", "--first", str(CHEAP), "--seeds", "2", "--workers", "1", "--keep", str(kept),
-         "--json", str(found)],
+        ["interval_coverage", "--kind", "model", "--first", str(CHEAP), "--seeds", "2", "--workers", "1", "--keep",
+         str(kept), "--json", str(found)],
     )  # fmt: skip
     interval_coverage.main()
     printed = capsys.readouterr().out
