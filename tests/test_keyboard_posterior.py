@@ -13,9 +13,12 @@ from pianofit.instrument.keyboard_posterior import (
     KeyMeasurements,
     Measurement,
     _data,
+    _deviation,
     _Fitted,
     _joint_covariance,
     _Model,
+    _most_probable,
+    _observed,
     _shares,
     _solve,
     _student_weights,
@@ -135,6 +138,31 @@ def test_shares_of_minima_are_their_densities_in_the_prediction_of_the_other_key
     found = _shares(one.system, one.data, REFERENCE, TWO, key)
     assert found == pytest.approx(density / density.sum(), rel=1e-4)
     assert 0.01 < found[0] < 0.99
+
+
+def test_a_fit_deviates_from_the_prediction_of_the_other_keys_as_an_ordinary_key():
+    one = fitted()
+    ordinary = one.model.weights.copy()
+    ordinary[:, TWO] = 1.0
+    values = sum(spreads(list(MIDI), ordinary))
+    others = np.delete(np.arange(7), TWO)
+    observed = square((values + noise_of(one.data))[:, others][..., others])
+    cross = square(values[:, [TWO]][..., others])
+    difference = one.data.y[:, TWO] - cross @ np.linalg.solve(observed, one.data.y[:, others].ravel())
+    covariance = values[:, TWO, :, TWO] - cross @ np.linalg.solve(observed, cross.T) + one.data.noise[TWO]
+    expected = difference / np.sqrt(np.diag(covariance))
+    assert _deviation(one.system, one.data, one.model, TWO) == pytest.approx(expected, rel=1e-5)
+
+
+def test_shapes_are_searched_one_after_the_other_each_with_the_shapes_before_it():
+    """The inverse covariance is updated after each shape. Here it is computed anew."""
+    one, model = fitted(), fitted().model
+    for q, prior in enumerate(PRIORS):
+        shapes = list(model.shapes)
+        observed = _observed(_solve(one.data, model), one.data, model, q)
+        shapes[q] = most_probable(observed, prior, shapes[q])
+        model = model._replace(shapes=shapes)
+    assert np.array(_most_probable(one.data, one.model)) == pytest.approx(np.array(model.shapes), rel=1e-3)
 
 
 def test_weights_of_minima_are_relative():
