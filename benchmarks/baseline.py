@@ -21,14 +21,8 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
-
-# numba imports a package named coverage and must not find benchmarks/coverage.py.
-_path = list(sys.path)
-sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != Path(__file__).resolve().parent]
-import numba  # noqa: E402
-
-sys.path[:] = _path
 
 TOLERANCE = 1e-9
 ROUNDING = 4 * np.finfo(float).eps

@@ -149,8 +149,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
 def panel() -> tuple[float, float]:
     """Return the median error of predictions, dB, and the rms error of fits, standard errors; NaN if not available."""
-    import coverage
     import crossval
+    import interval_coverage
 
     errors = []
     if os.environ.get("PIANOFIT_RECORDINGS") or Path(crossval.FOLDERS.split(":")[0]).is_dir():
@@ -160,7 +160,7 @@ def panel() -> tuple[float, float]:
     misses = [
         row["miss"]
         for seed in SEEDS
-        for row in coverage.judge(("model", seed, 0.0)).get("rows", [])
+        for row in interval_coverage.judge(("model", seed, 0.0)).get("rows", [])
         if row["miss"] is not None and row["status"] in ("fitted", "scaled")
     ]
     error = statistics.median(errors) if errors else float("nan")

@@ -1,4 +1,4 @@
-"""Cases for `coverage.py`: synthetic recordings of strings, hammers and paths that are drawn at random.
+"""Cases for `interval_coverage.py`: synthetic recordings of strings, hammers and paths that are drawn at random.
 
 A case is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior of a fit, centred
 at the literature value of the key (`literature.typical`). Its string is drawn with some scatter. Correct

@@ -8,7 +8,8 @@ Of each case the reader may return, or raise a `PianofitError` whose message is 
 else is a fault: another exception, a warning, more than LONGEST seconds, more memory than MOST allows, a file that was
 not there before. Text is spoilt by its tokens, JSON by its values too, bytes by bits, cuts, repeats and lengths.
 Kinds: wav, flac, rf64, w64, aiff, aifc, caf, au, vorbis, opus, mp3, setup (TOML), fit, fit-knock, note (of a page to
-play) and instrument (JSON, FLAC), midi, sfz, csv, answers (JSON), keys (fits that an instrument is made of).
+play) and instrument (JSON, FLAC), midi, sfz, csv, answers, extras and dataset (JSON), keys (fits that an instrument is
+made of).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import base64
 import contextlib
+import copy
 import dataclasses
 import functools
 import io
@@ -130,7 +132,7 @@ def spoilt_json(data: bytes, draw: np.random.Generator) -> bytes:
             other, name, _ = places[int(draw.integers(len(places)))]
             holder[key] = json.loads(json.dumps(other[name]))
         else:
-            holder[key] = VALUES[int(draw.integers(len(VALUES)))]
+            holder[key] = copy.deepcopy(VALUES[int(draw.integers(len(VALUES)))])  # else they hold each other
     return json.dumps(document).encode("utf-8", errors="surrogateescape")
 
 
@@ -212,6 +214,34 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
     return json.dumps(fit).encode(), knock, json.dumps(note).encode(), json.dumps(instrument).encode()
 
 
+def _extras() -> bytes:
+    """An extras.json with a damper, a release noise and a noise floor."""
+    from pianofit.schema.decode import builtins_of
+    from pianofit.schema.extras import DamperEntry, KeyExtras, NoiseEntry, SoundEntry
+
+    row = np.array([100.0, 1000.0])
+    damper = DamperEntry(
+        file="a.wav", sha256="0", release_s=1.0, log_rate=4.0, slope=0.2, covariance=((0.01, 0.0), (0.0, 0.01)),
+        frequency=row, rate=0.1 * row, rate_error=0.01 * row,
+    )  # fmt: skip
+    release = SoundEntry.of(np.full((1, 64), 0.1), 8_000)
+    extras = KeyExtras(midi=60, dampers=(damper,), releases=(release,), noise=NoiseEntry(row, (1e-12 * row,)))
+    return json.dumps(builtins_of(extras)).encode()
+
+
+def _dataset() -> bytes:
+    """A dataset.json as it is written."""
+    from pianofit.schema.dataset import Column, DatasetFile, NoteOptions
+    from pianofit.schema.decode import builtins_of
+
+    options = NoteOptions(keys=("C3", 72), noise_db=(40.0, 70.0))
+    record = DatasetFile(
+        pianofit="1.0", seed=1, count=2, format="flac", options=options, around_sha256=None,
+        path_frequencies_hz=(100.0, 200.0), columns=(Column("f0", "Hz", "fundamental frequency"),),
+    )  # fmt: skip
+    return json.dumps(builtins_of(record)).encode()
+
+
 def kinds() -> dict[str, Kind]:
     """Every format that is read."""
     import pianofit
@@ -219,6 +249,8 @@ def kinds() -> dict[str, Kind]:
     from pianofit.instrument import load_instrument, load_keys
     from pianofit.listening.result import count_answers
     from pianofit.playback import load_song
+    from pianofit.schema.dataset import read_dataset_file
+    from pianofit.schema.extras import read_extras
 
     fit, knock, note, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
@@ -236,6 +268,7 @@ def kinds() -> dict[str, Kind]:
     )
     trials = [{"condition": "ABX", "chosen": "a", "hit": "b", "case": "A3"}] * 3
     sounds = {"a.wav": wav, "b.wav": wav}
+    answers = {"schema": 2, "trials": trials}
     return {
         "wav": Kind("case.wav", wav, pianofit.load_recording),
         "flac": Kind("case.flac", flac, pianofit.load_recording),
@@ -257,9 +290,9 @@ def kinds() -> dict[str, Kind]:
         "midi": Kind("case.mid", _song(), load_song),
         "sfz": Kind("case.sfz", sfz, read_keys, text=True, beside=sounds),
         "csv": Kind("case.csv", table, read_keys, text=True, beside=sounds),
-        "answers": Kind(
-            "case.json", json.dumps({"schema": 2, "trials": trials}).encode(), lambda path: count_answers([path])
-        ),
+        "answers": Kind("case.json", json.dumps(answers).encode(), lambda path: count_answers([path])),
+        "extras": Kind("extras.json", _extras(), read_extras),
+        "dataset": Kind("dataset.json", _dataset(), read_dataset_file),
     }  # fmt: skip
 
 

@@ -293,16 +293,28 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     def by(factor: float) -> Analysis:
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
-        level, _, lag = measure_levels(fitted, decay)
-        return replace(
-            laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag)
-        )
+        level, error, lag = measure_levels(fitted, decay)
+        table = replace(first.partials, number=number, level=level, level_error=error, level_decay_sensitivity_s=lag)
+        return replace(laws, partials=table)
 
     first = analyse((samples, RATE), note="A2")
     one, other = by(0.8), by(1.2)
     before, after = (np.abs(x.partials.level - other.partials.level) for x in (one, one.with_decay_law(other)))
     assert before.max() > 0.1
     assert (after < before / 50).all()
+
+
+def test_a_level_keeps_its_law_where_the_other_is_too_different():
+    """A tone at a high number that no string has made: by the law of another recording it would be louder than all."""
+    one = analyse((string(*STRINGS["A2"], seed=4).recording().samples, RATE), note="A2")
+    number = one.partials.number.copy()
+    number[-1] = 64
+    stray = replace(one, partials=replace(one.partials, number=number))
+    moved = stray.with_decay_law(replace(one, level_law=(one.level_law[0], one.level_law[1] + 0.1))).partials
+    assert moved.level[-1] == one.partials.level[-1]
+    lag = 0.5 * (moved.level_decay_sensitivity_s[-1] + one.partials.level_decay_sensitivity_s[-1])
+    assert moved.level_error[-1] >= 20 / np.log(10) * lag * 0.1 * 64**2
+    assert (moved.level_error[:5] == one.partials.level_error[:5]).all()
 
 
 def test_a_weak_partial_that_beats_faintly_keeps_its_level_beside_loud_ones():

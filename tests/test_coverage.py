@@ -14,9 +14,9 @@ import pytest
 from pianofit.parameters import FIT_NAMES
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import coverage
 import coverage_table
 import coverage_twins as twins
+import interval_coverage
 from measuring import into_page
 
 # One calibrated recording of C6, which is soon made and fitted.
@@ -148,10 +148,10 @@ def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     kept.write_text(json.dumps(refused) + "\n")
     monkeypatch.setattr(
         sys, "argv",
-        ["coverage", "--twins", "model", "--first", str(CHEAP), "--seeds", "2", "--workers", "1", "--keep", str(kept),
-         "--json", str(found)],
+        ["interval_coverage", "--kind", "model", "--first", str(CHEAP), "--seeds", "2", "--workers", "1", "--keep",
+         str(kept), "--json", str(found)],
     )  # fmt: skip
-    coverage.main()
+    interval_coverage.main()
     printed = capsys.readouterr().out
     assert "fitted 1 of 2" in printed
     assert f"refused, seed {CHEAP + 1}: noise" in printed

@@ -88,7 +88,8 @@ def test_a_function_that_is_no_sum_of_logarithms_has_the_interval_of_many_draws(
     np.testing.assert_allclose(found, expected, atol=0.12 * np.ptp(expected) / 2)
 
 
-def test_the_force_at_the_reference_compression_is_gaussian_even_with_a_wide_exponent():
+@pytest.mark.parametrize("sd", [0.15, 0.02])
+def test_the_force_at_the_reference_compression_is_gaussian_even_with_a_wide_exponent(sd):
     """K_H is not: its logarithm is linear in p, and that of p is drawn."""
     content = example_content()
     names = content["minima"][0]["covariance"]["names"]
@@ -96,7 +97,7 @@ def test_the_force_at_the_reference_compression_is_gaussian_even_with_a_wide_exp
     own = dict.fromkeys(SHARED, 1.0) | content["minima"][0]["parameters"]
     to_log = np.zeros((len(names), 2))  # from log force and log p to log K_H and log p
     to_log[names.index("K_H")], to_log[names.index("p"), 1] = (1.0, -own["p"] * log_u), 1.0
-    matrix = to_log @ np.diag([0.05**2, 0.15**2]) @ to_log.T
+    matrix = to_log @ np.diag([0.05**2, sd**2]) @ to_log.T
     content["minima"][0] |= {"parameters": own, "covariance": {"names": names, "matrix": matrix.tolist()}}
     draws = joint_draws(example_fit(content), LAW)
     force = draws.values["K_H"] * np.exp(draws.values["p"] * log_u)

@@ -16,6 +16,7 @@ from pianofit.inference.likelihood import (
     ObservationTable,
     combine_nodes,
     em_weights,
+    interference_db,
     node_weights,
     objective,
     solve_nodes,
@@ -36,6 +37,26 @@ def test_the_objective_is_the_dense_one(shape, seed):
         found = float(F(t, residual, phi, w, theta))
         assert found == pytest.approx(dense(t, residual, phi, w, theta), rel=1e-9, abs=1e-8)
         assert objective(t, residual, phi, w, theta, np) == pytest.approx(found, rel=1e-11)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_many_points_at_once_are_each_alone(shape):
+    t, points = table(shape), [point(shape, seed) for seed in range(3)]
+    residual, w, theta = (np.stack(x) for x in zip(*points, strict=True))
+    phi = PHI + 0.1 * np.arange(3)[:, None]
+    together = solve_nodes(t, residual, phi, w, theta).nll_per_node
+    for i in range(3):
+        alone = solve_nodes(t, *(x[i : i + 1] for x in (residual, phi, w, theta))).nll_per_node
+        np.testing.assert_allclose(together[i], alone[0], rtol=1e-12)
+
+
+def test_interference_is_the_spread_of_a_level_over_all_phases():
+    """The level of 1 + η exp(iφ), dB, for a small η and every φ."""
+    eta = 1e-3
+    level = 20 * np.log10(np.abs(1 + eta * np.exp(2j * np.pi * np.arange(360) / 360)))
+    t = table("one recording")
+    phi = np.where(np.arange(5) == 3, np.log(eta), PHI)
+    assert interference_db(t, phi[None])[0] == pytest.approx(np.std(level) * np.asarray(t.ratio), rel=1e-5)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -92,6 +92,15 @@ def test_contact_falls_with_the_pedal(low, way, one, two):
 def test_a_pedal_range_is_checked():
     with pytest.raises(ParameterError, match=r"pedal_range=\(64, 24\)"):
         sound(PlayOptions(PedalRange(64, 24)))
+    with pytest.raises(ParameterError, match=r"pedal_range=0, 127\.5"):
+        PedalRange(0, 127.5).check()
+
+
+@pytest.mark.parametrize(("value", "contact"), [(63, 1.0), (64, 0.0)])
+def test_sostenuto_holds_from_64_on(value, contact):
+    song = Song({48: [(0.0, 90), (0.5, 0)]}, (), 3.0, 1, sostenuto=[(0.3, value), (2.0, 0)])
+    contacts = {motion.seconds: motion.contact for motion in key_motions(song, 48, PedalRange(), 6.0)}
+    assert contacts.get(0.5, 0.0) == contact
 
 
 def test_sostenuto_holds_what_was_held():

@@ -82,6 +82,23 @@ def test_coupled_strings_move_as_by_finite_differences(case):
         assert 10 * np.log10(found[HEARD, first] / alone) > 1.0
 
 
+def test_an_impulse_excites_far_modes_by_their_transforms():
+    """Mode by mode: the transform of every struck vibration at the pole of another mode, less by the taper if near."""
+    random, count, common = np.random.default_rng(5), 24, 0.3
+    pole = -random.exponential(3.0, count) + 2j * np.pi * np.sort(random.uniform(20.0, 150.0, count))
+    drive, source = random.normal(size=count), np.array([2, 3, 9, 10, 11, 12, 13, 14, 15, 20])
+    strength = random.normal(size=10) + 1j * random.normal(size=10)
+    pole[21] = pole[20]  # equal poles exchange energy later, in steps
+    expected = np.zeros(count, complex)
+    for i in np.delete(np.arange(count), source):
+        for j, a in zip(source, drive[source] * strength, strict=True):
+            if pole[i] != pole[j]:
+                vibration = a / (pole[i] - pole[j]) + np.conj(a) / (pole[i] - np.conj(pole[j]))
+                expected[i] -= common * drive[i] * min(abs(pole[i].imag - pole[j].imag) / TAPER, 1.0) * vibration
+    coupled = CoupledModes(pole, drive, np.arange(count), common)
+    assert coupled.far_response(source, strength) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
 def test_two_equal_strings_are_weinreichs():
     """Struck together they decay twice as fast by the bridge, and struck against each other by their own losses."""
     own, rate = 0.3, 2.0

@@ -15,6 +15,10 @@ from ..io.table_output import data_frame, html_table
 from .glide import PitchGlide
 from .inharmonicity import law_frequency
 
+# Largest change of a level by another law of decays, dB. The change is a series in the difference of the laws, and this
+# is two nepers. Layers of one key of a piano differ by at most 1.4 nepers. A partial that is not of the string, at a
+# high number and without decay, differs by tens.
+LARGEST_LAW_CHANGE = 17.4
 # Columns of `Partials` with one number for each partial, and their headings in a notebook.
 PER_PARTIAL = {
     "number": "k",
@@ -158,12 +162,16 @@ class Analysis:
         """A copy whose levels are based on the `level_law` of `other`; exact to third order in their difference.
 
         The decay of the string is the same in all recordings of a key. Their laws differ because of noise and beats.
+        Where they differ by more than `LARGEST_LAW_CHANGE`, a level keeps its own law, with the difference as an error.
         """
         p, q = self.partials, other.partials
         lag = 0.5 * (p.level_decay_sensitivity_s + np.interp(p.number, q.number, q.level_decay_sensitivity_s))
         b1, d2 = np.subtract(other.level_law, self.level_law)
-        level = p.level + DB * lag * (b1 + d2 * p.number**2.0)
-        return replace(self, partials=replace(p, level=level), level_law=other.level_law)
+        change = DB * lag * (b1 + d2 * p.number**2.0)
+        small = np.abs(change) <= LARGEST_LAW_CHANGE
+        level = p.level + np.where(small, change, 0.0)
+        error = np.hypot(p.level_error, np.where(small, 0.0, change))
+        return replace(self, partials=replace(p, level=level, level_error=error), level_law=other.level_law)
 
     @property
     def glide_model(self) -> PitchGlide:

@@ -1,9 +1,9 @@
 """Coverage of the 95 % intervals: synthetic recordings with known parameters, fitted and counted.
 
-    python benchmarks/coverage.py                              20 demo cases, and one without any noise
-    python benchmarks/coverage.py --kind model --seeds 100    strings, hammers, paths and strokes drawn at random
-    python benchmarks/coverage.py --kind brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
-    python benchmarks/coverage.py --kind same-window --seeds 50   the same, with the contact's window of the program
+    python benchmarks/interval_coverage.py                              20 demo cases, and one without any noise
+    python benchmarks/interval_coverage.py --kind model --seeds 100    random strings, hammers, paths and strokes
+    python benchmarks/interval_coverage.py --kind brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
+    python benchmarks/interval_coverage.py --kind same-window --seeds 50   the same, with the program's contact window
 
 An interrupted study continues with the same `--keep`.
 

@@ -1,0 +1,87 @@
+"""Strings of all keys as modes on one bridge: forces, knocks and amplitudes, against direct sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from instrument_cases import piano_of, rung, true_note
+
+from pianofit.literature import typical_strings
+from pianofit.model.modal_response import PRE_ONSET_S, ForcePulse, VelocityGain
+from pianofit.model.output_path import OutputPath
+from pianofit.playback import PlayOptions, Song, render_song
+from pianofit.playback.free_strings import HIGHEST, FreeStrings, _knock_transform, _modelled, _transform
+from pianofit.playback.repeated_strike import string_tables
+from pianofit.playback.resonance import HOP_SECONDS, RATE_RATIO, hop_count, hop_samples
+
+RATE = 48_000
+POLE = -np.array([0.5, 2.0, 8.0]) + 2j * np.pi * np.array([110.0, 777.0, 3210.0])
+
+
+@pytest.fixture(scope="module")
+def strings() -> FreeStrings:
+    """Two keys with measured modal responses and knocks."""
+    return FreeStrings(piano_of({57: rung(57), 60: rung(60)}), RATE, common=0.3)
+
+
+def test_the_transform_of_a_force_is_the_sum_over_its_samples():
+    time = np.arange(200) / RATE
+    pulse = ForcePulse(np.sin(np.pi * time / time[-1]) ** 2 * (1 + time / time[-1]), 1 / RATE, 2.0)
+    direct = (pulse.force[None] * np.exp(-np.outer(POLE, time))).sum(axis=1) / RATE
+    assert _transform(pulse, POLE) == pytest.approx(direct, rel=0.02)
+
+
+def test_the_transform_of_a_knock_is_the_sum_over_its_samples(strings):
+    """At frequencies without decay, relative to the contact."""
+    note = strings.instrument.keys[60].note
+    response, pole = note.modal_response, 1j * POLE.imag
+    time = np.arange(response.knock.shape[-1]) / response.rate - PRE_ONSET_S
+    direct = response.knock @ np.exp(-np.outer(pole, time)).T / response.rate
+    assert _knock_transform(response, pole) == pytest.approx(direct, abs=0.02 * np.abs(direct).max())
+
+
+def test_a_knock_leaves_the_amplitudes_that_are_nearest_to_its_transform_in_all_channels(strings):
+    response = strings.instrument.keys[60].note.modal_response
+    radiated = -2 * 0.3 * strings.drive**2 * _knock_transform(response, strings.pole)
+    nearest = [
+        np.linalg.lstsq(sound[:, None], own, rcond=None)[0][0]
+        for sound, own in zip(strings.sound.T, radiated.T, strict=True)
+    ]
+    assert strings._knock_response(response) == pytest.approx(nearest, rel=1e-9)
+
+
+def test_the_velocity_gain_of_a_string_at_the_frequency_of_a_struck_mode_is_that_of_the_mode(strings):
+    note = rung(60)
+    response, gain = note.modal_response, np.random.default_rng(1).uniform(0.5, 2.0, (2, 10))
+    part = VelocityGain(response.velocity_gain.velocity, np.repeat(gain, 2, axis=1))
+    piano = piano_of({57: rung(57), 60: note._replace(modal_response=response._replace(velocity_gain=part))})
+    other, gains = FreeStrings(piano, RATE), np.abs(part.at(3.0))
+    expected = [gains[np.argmin(np.abs(response.pole.imag - omega))] for omega in other.pole[other.modes[60]].imag]
+    assert other._velocity_gain(60, 3.0)[other.modes[60]] == pytest.approx(expected)
+
+
+def test_amplitudes_of_a_modelled_string_are_normalised_to_energy_and_pass_its_path():
+    path = OutputPath(np.array([20.0, 20_000.0]), np.array([-6.0, -6.0]))
+    plain, filtered = (_modelled(true_note(60)._replace(path=p), 60, RATE) for p in (None, path))
+    assert filtered[3] == pytest.approx(plain[3] * 10 ** (-6 / 20))
+    table, pole = string_tables(true_note(60), RATE), plain[0]
+    assert plain[3][0] == pytest.approx(table.pickup)
+    # Half of the mass of all strings, times the squared peak velocity of a mode, is twice its energy.
+    mass = typical_strings(60) * true_note(60).geometry.mass
+    assert np.abs(plain[4]) ** 2 == pytest.approx(0.5 * mass * np.abs(pole) ** 2)
+
+
+@pytest.mark.parametrize("rate", [22_050, 44_100, 48_000, 96_000])
+def test_a_hop_is_a_whole_number_of_reduced_samples_and_has_its_duration(rate):
+    hop, ratio = hop_samples(rate)
+    assert hop % ratio == 0
+    assert abs(hop - HOP_SECONDS * rate) <= ratio / 2
+    assert rate / ratio >= min(RATE_RATIO * HIGHEST, rate)
+    assert (hop_count(10 * hop, rate), hop_count(10 * hop + 1, rate)) == (11, 12)
+
+
+def test_two_free_strings_are_enough_to_resonate():
+    piano, song = piano_of({48: rung(48), 60: rung(60)}), Song({60: [(0.0, 90), (0.5, 0)]}, [(0.0, 127)], 1.0, 1)
+    dry, whole = (render_song(piano, song, RATE, options=PlayOptions(resonance=x)).samples for x in (0.0, 1.0))
+    size = min(dry.shape[-1], whole.shape[-1])
+    assert np.abs(whole[:, :size] - dry[:, :size]).max() > 1e-4 * np.abs(dry).max()
