@@ -106,10 +106,9 @@ def _deviations(random: np.random.Generator, table, theta: np.ndarray) -> np.nda
 
 def normal_scores(case: Case) -> np.ndarray:
     """Ranks of the true free values in their posterior, as standard normal numbers [free]."""
-    from pianofit.inference.pipeline import refine
-
     from pianofit.inference.laplace import laplace
     from pianofit.inference.objective import Objective
+    from pianofit.inference.pipeline import refine
 
     objective, u = Objective.complete(case.problem), case.problem.parametrisation
     phi = [term.table.prior[0] for term in objective.terms]

@@ -13,9 +13,9 @@ import pytest
 from report_cases import Page
 
 from pianofit.dsp.loudness import k_weighted_mean_square
-from pianofit.listening import page as listening_page
-from pianofit.listening.page import Question, write_listening
+from pianofit.listening.page import write_listening
 from pianofit.listening.result import count_answers
+from pianofit.listening.trials import ListeningSound, Question
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -32,7 +32,7 @@ def questions() -> list[Question]:
     for velocity in (0.6, 0.8):
         t, f = np.arange(RATE) / RATE, 2000 * velocity
         sounds = {
-            name: listening_page.ListeningSound(
+            name: ListeningSound(
                 name,
                 f"{velocity} m/s",
                 np.pad((n + 1) * np.exp(-3 * t) * np.sin(f * (n + 1) * t), (400, 0)),

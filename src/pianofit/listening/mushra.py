@@ -13,7 +13,7 @@ from typing import Any
 from ..errors import OutputError
 from ..io.files import printable, replace_file
 from ..report.sound import Clip
-from .page import ListeningSound
+from .trials import ListeningSound
 
 # Folder of the sounds, relative to the root of webMUSHRA.
 SOUNDS = "configs/resources/pianofit"

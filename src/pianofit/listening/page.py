@@ -10,9 +10,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -22,56 +19,10 @@ from ..report.html import write_page
 from ..report.sound import Clip, make_clips
 from ..schema.decode import builtins_of, encode_json
 from ..schema.listening import ListeningKey, SoundIdentity, TrialEntry
+from .trials import ListeningSound, Question, draw_trials
 
 # Time that a listener needs for one question, min.
 MINUTES = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class ListeningSound:
-    """One sound of the test. Equal samples do not make two sounds equal."""
-
-    what: str  # name of the set, hidden until the end
-    case: str  # note or stroke; all sounds of a question have the same
-    samples: np.ndarray  # [samples] or [channels, samples], all sounds with the same onset
-
-
-class Question(NamedTuple):
-    """A question about a reference and a pair, repeated `times` times.
-
-    `nearer`: which sound of the pair is nearer to the reference? If the pair contains the reference, it is hidden.
-    `abx`: which sound of the pair is X? X is drawn from the pair for each repetition; `reference` is not used.
-    """
-
-    reference: ListeningSound
-    pair: tuple[ListeningSound, ListeningSound]
-    times: int = 2
-    kind: Literal["abx", "nearer"] = "nearer"
-
-    @property
-    def condition(self) -> str:
-        """Name of the condition. Answers of one condition are counted together."""
-        first, second = (sound.what for sound in self.pair)
-        if self.kind == "abx":
-            return f"ABX: {first} or {second}"
-        if self.reference not in self.pair:
-            return f"nearer to {self.reference.what}: {first} than {second}"
-        other = next(sound for sound in self.pair if sound is not self.reference)
-        return f"hidden reference: {self.reference.what} next to {other.what}"
-
-
-class Trial(NamedTuple):
-    """One repetition of a question."""
-
-    question: Question
-    reference: ListeningSound
-    a: ListeningSound
-    b: ListeningSound
-
-    @property
-    def hit(self) -> ListeningSound:
-        """The answer that is counted: the reference if it is in the pair, else the first of the pair."""
-        return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
 
 
 def write_listening(
@@ -108,7 +59,7 @@ def write_listening(
     draw = np.random.default_rng(seed)
     sounds = list(dict.fromkeys(sound for q in questions for sound in (q.reference, *q.pair)))
     names = {sound: f"s{n:03d}" for sound, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
-    trials = list(_draw_trials(questions, draw))
+    trials = list(draw_trials(questions, draw))
     clips = make_clips({name: sound.samples for sound, name in names.items()}, rate, onset, seconds=seconds)
     hidden = ListeningKey(
         program=program,
@@ -144,14 +95,3 @@ def write_listening(
     )
     replace_file(key, encode_json(hidden))
     return [*zip(sounds, clips, strict=True)]
-
-
-def _draw_trials(questions: list[Question], draw: np.random.Generator) -> Iterator[Trial]:
-    """Yield the trials in random order, first all `abx`, then all `nearer`."""
-    for kind in ("abx", "nearer"):
-        asked = [question for question in questions if question.kind == kind for _ in range(question.times)]
-        for n in draw.permutation(len(asked)):
-            question = asked[n]
-            side, x = draw.integers(2, size=2)
-            a, b = question.pair[:: -1 if side else 1]
-            yield Trial(question, question.pair[x] if kind == "abx" else question.reference, a, b)

@@ -17,8 +17,9 @@ from ..io.number_format import counted
 from ..recording.recording import Recording
 from .artefact_checks import failures
 from .mushra import write_experiment
-from .page import ListeningSound, Question, write_listening
+from .page import write_listening
 from .pairs import MAX_PAIRS, load_pair, pairs_of
+from .trials import ListeningSound, Question
 
 # Time before the onset, s, because a knock may begin 12 ms earlier. The first half fades in.
 LEAD = 0.02
