@@ -92,7 +92,7 @@ def test_contact_falls_with_the_pedal(low, way, one, two):
 def test_a_pedal_range_is_checked():
     with pytest.raises(ParameterError, match=r"pedal_range=\(64, 24\)"):
         sound(PlayOptions(PedalRange(64, 24)))
-    with pytest.raises(ParameterError, match=r"pedal_range=0, 127\.5"):
+    with pytest.raises(ParameterError, match=r"pedal_range=\(0, 127\.5\)"):
         PedalRange(0, 127.5).check()
 
 

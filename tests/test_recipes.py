@@ -318,10 +318,10 @@ def test_an_unknown_recipe_is_no_command(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["a.wav", "--evaluations", "900"], "evaluations=900"),
-        (["a.wav", "--recipe", "global", "--evaluations", "900"], "recipe='paper'"),
-        (["a.wav", "b.wav", "--recipe", "paper"], "recipe='paper' fits one recording; 2 were given"),
-        (["a.wav", "--recipe", "paper", "--intervals", "profile"], "intervals='profile' requires the default recipe"),
+        (["a.wav", "--evaluations", "900"], "--evaluations 900"),
+        (["a.wav", "--recipe", "global", "--evaluations", "900"], "--recipe paper"),
+        (["a.wav", "b.wav", "--recipe", "paper"], "--recipe paper fits one recording; 2 were given"),
+        (["a.wav", "--recipe", "paper", "--intervals", "profile"], "--intervals profile needs --recipe default"),
     ],
 )
 def test_a_command_refuses_options_that_its_recipe_does_not_have(tmp_path, capsys, options, named):
