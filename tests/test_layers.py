@@ -55,7 +55,7 @@ USES = {
     "batch": "analysis fitting instrument io model parameters recording report schema threads",
     "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
-    "dataset": "analysis batch felt inference instrument io literature model parameters progress schema",
+    "dataset": "analysis batch felt inference instrument io literature model parameters progress schema threads",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp felt instrument io model playback report schema threads",
     "mend": "analysis batch dsp instrument io modal_response model recording schema",

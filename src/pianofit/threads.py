@@ -1,4 +1,4 @@
-"""Number of threads of this process, and of BLAS, whose threads would compete with ours."""
+"""Numbers of processes and threads, and threads of BLAS, which would compete with ours."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 from .errors import FitError
 
+# Largest number of processes of a command: more than an ordinary machine has cores.
+MAX_PROCESSES = 256
 _forked = False  # True in a process that was forked after JAX had started
 
 

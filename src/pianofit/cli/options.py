@@ -16,7 +16,7 @@ from ..errors import check_range
 from ..excitation import HAMMER, NAMES
 from ..felt import DEFAULT_LAW, LAWS
 from ..recording.recording import readable_formats
-from ..threads import cores
+from ..threads import MAX_PROCESSES, cores
 from ..transducer import QUANTITIES
 from .terminal import bare
 
@@ -136,10 +136,9 @@ Processes = Annotated[int | None, integer("N", "Number of processes.", default="
 DryRun = Annotated[bool, flag("--dry-run", "List what would be done, and write nothing.")]
 # For an int, or for None where a fit has its own rate.
 RATE = integer("HZ", "Sample rate in Hz.", "--rate")
-MOST_PROCESSES = 256
 
 
 def process_count(processes: int | None) -> int:
     """Return the number of processes, one per core by default, or raise a `ParameterError`."""
-    check_range("processes=", 1 if processes is None else processes, 1, MOST_PROCESSES)
+    check_range("processes=", 1 if processes is None else processes, 1, MAX_PROCESSES)
     return processes or cores()

@@ -34,6 +34,7 @@ from ..parameters import check_seed
 from ..progress import Progress, progress_bar
 from ..schema.dataset import DATASET_FILE, Column, DatasetFile, NoteOptions, SoundFormat, read_dataset_file
 from ..schema.decode import encode_json
+from ..threads import MAX_PROCESSES
 from .draw import PATH_FREQUENCIES, NotePrior
 from .labelled_note import LabelledNote, blocks, check_count, make_block
 from .source import load_source
@@ -47,7 +48,6 @@ FORMATS: dict[SoundFormat, str] = {
 }
 # Limits of one process, and of one block in it: a block takes seconds.
 MEMORY, TIME_LIMIT = 3 * 2**30, 3600.0  # bytes, s
-MAX_PROCESSES = 256
 POLL = 0.5  # s between two reports of progress
 
 
