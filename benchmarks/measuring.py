@@ -92,8 +92,14 @@ def machine() -> dict[str, Any]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "processor": name, "cores": cores, "load": load(), "system": platform.platform(),
-        "python": platform.python_version(), "versions": {name: _version(name) for name in NAMES},
+        "python": platform.python_version(), "versions": {name: _version(name) for name in NAMES}, "commit": commit(),
     }  # fmt: skip
+
+
+def commit() -> str:
+    """Return the commit of this clone, with "-dirty" if files differ from it."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
+    return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def load() -> list[float]:

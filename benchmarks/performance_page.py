@@ -28,27 +28,27 @@ def text(document: dict[str, Any], picture: str) -> str:
     """The part of the page that is made."""
     parts = [
         _opening(document), _side_by_side(document), _commands(document), _growth(document, picture),
-        _counts(document), _kernel(document), _reasons(document), _accelerator(document),
+        _counts(document), _kernel(document), _accelerator(document),
     ]  # fmt: skip
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def _opening(document: dict[str, Any]) -> str:
     m = document["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items() if version)
-    busy = " **The machine was busy: these figures are too large.**" if max([0, *m["load"][:1]]) > 0.5 else ""
+    busy = " **The machine was busy, so these times are too long.**" if max([0, *m["load"][:1]]) > 0.5 else ""
     return f"""## Single operations
 
-Made by `python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md`, in less than ten minutes
-on two idle cores; run it again after a change. It needs numba: `pip install -e ".[bench]"`. Times are medians of runs
-that take turns, next to the fastest; ratios are medians over the turns.
+`python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md` writes this part of the page. It
+needs numba: `pip install -e ".[bench]"`. Times are medians of runs that take turns, next to the fastest run. Ratios are
+medians over the turns.
 
-Measured on {m["processor"]}, {m["cores"]} cores, load {_list(m["load"])} before and {_list(m["load after"])} after;
-Python {m["python"]}, {versions}.{busy}
+The machine was {m["processor"]} with {m["cores"]} cores, load {_list(m["load"])} before and {_list(m["load after"])}
+after, Python {m["python"]}, {versions}. The commit was {m["commit"]}.{busy}
 
-The baseline is the paper's own algorithm done well: N = 100, 44.1 kHz, the full duration, a pentadiagonal matrix that
-is factored once, compiled with numba (`benchmarks/baseline.py`). It is
-{document["baseline off reference.py"]:.1e} of full scale off `tests/finite_difference.py`."""
+The baseline is an optimised program of the paper's own algorithm, with N = 100, 44.1 kHz and the full duration
+(`benchmarks/baseline.py`). Its matrix is pentadiagonal and factored once, and numba compiles it. It differs from
+`tests/finite_difference.py` by {document["baseline off reference.py"]:.1e} of full scale."""
 
 
 def _side_by_side(document: dict[str, Any]) -> str:
@@ -59,13 +59,13 @@ def _side_by_side(document: dict[str, Any]) -> str:
     step = 1e6 * s["baseline"]["median"] / 44_100
     one = k["baseline, 1 s"]
     rows = [
-        ("one strike, 1 s of signal: baseline", s["baseline"], f"{step:.2f} µs a step"),
+        ("one strike, 1 s of signal, baseline", s["baseline"], f"{step:.2f} µs a step"),
         ("one strike, 1 s of signal", s["pianofit"], _times(s["baseline"], s["pianofit"])),
-        ("criterion (eq. 19), 1 s: baseline", c["baseline, value"], ""),
+        ("criterion (eq. 19), 1 s, baseline", c["baseline, value"], ""),
         ("criterion, 1 s", c["value"], _times(c["baseline, value"], c["value"])),
-        ("and nine derivatives: baseline, ten runs", c["baseline, nine derivatives"], ""),
+        ("and nine derivatives, baseline, ten runs", c["baseline, nine derivatives"], ""),
         *((f"and {x.split('and ')[1]}", c[x], _times(c["baseline, nine derivatives"], c[x])
-           + (f"; target {DERIVATIVES:g} ms" if x.endswith("derivatives") else ""))
+           + (f", target {DERIVATIVES:g} ms" if x.endswith("derivatives") else ""))
           for x in ("value and nine derivatives", "value and nine derivatives, any model")),
         (f"default fit, levels of {sizes['hammers']} hammers ({size}), all cores", search[HAMMERS],
          f"{sizes['hammers'] / search[HAMMERS]['median']:,.0f} hammers a second"),
@@ -82,7 +82,7 @@ def _side_by_side(document: dict[str, Any]) -> str:
     csound = (
         ""
         if "csound prepiano" in p
-        else "\n\ncsound was not installed here (`apt install csound`): its row is left out."
+        else "\n\ncsound was not installed (`apt install csound`), so it has no row."
     )
     lines = ["| what | median, ms | fastest, ms | comparison |", "|---|---|---|---|"]
     lines += [f"| {n} | {1e3 * x['median']:.2f} | {1e3 * x['fastest']:.2f} | {more} |" for n, x, more in rows]
@@ -104,15 +104,15 @@ def _side_by_side(document: dict[str, Any]) -> str:
 
 {chr(10).join(lines)}{csound}
 
-The nine derivatives of the baseline are nine more runs; the paper's sensitivity system costs as much. A candidate is a
-contact alone: {STEPS} steps at 44.1 kHz on a string of {MODES} modes, which is the same for all. To score a candidate
-the paper's algorithm has to go through the whole second.
+The nine derivatives of the baseline are nine more runs. The paper's sensitivity system costs as much. A hammer
+candidate is a contact alone, with {STEPS} steps at 44.1 kHz on a string of {MODES} modes. The string is the same for
+all. The paper's algorithm needs the whole second of sound for each candidate.
 
 {chr(10).join(rates)}
 
-Targets: {CANDIDATES:,.0f} candidates a second, here {best:,.0f} ({_met(best >= CANDIDATES)});
-{OVER_PAPER:g} times the baseline, here {over:,.0f} ({_met(over >= OVER_PAPER)}). XLA does
-not split loops of this size over cores: one thread does each but the last of these, which is as a search does it."""
+The target is {CANDIDATES:,.0f} candidates a second. The best row has {best:,.0f} ({_met(best >= CANDIDATES)}). The
+second target is {OVER_PAPER:g} times the baseline. The best ratio is {over:,.0f} ({_met(over >= OVER_PAPER)}). XLA does
+not split loops of this size over cores. So each row but the last but one uses one thread."""
 
 
 def _commands(document: dict[str, Any]) -> str:
@@ -129,15 +129,15 @@ def _commands(document: dict[str, Any]) -> str:
     gain = evaluations * inner / table["paper's recipe"]["median"]
     return f"""### Whole commands
 
-A made note of {effort["seconds"]:g} s; the joint fit has {effort["recordings"]} recordings of it, the paper's recipe
-{evaluations:,} evaluations by annealing on the demo's recording. Each runs in a process of its own, Python's start and
-all imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has
-an empty cache.
+The commands fit a synthetic note of {effort["seconds"]:g} s. The joint fit has {effort["recordings"]} recordings of it.
+The paper's recipe has {evaluations:,} evaluations by annealing on the demo's recording. Each command is a process of its
+own, with Python's start and all imports. Commands write no page unless the row says so. Warm commands have the compiled
+programs of earlier fits, and the cold one has an empty folder.
 
 {chr(10).join(lines)}
 
-The baseline would need {evaluations * inner:.0f} s for the annealing alone ({evaluations:,} strikes, computed from the
-one above): {gain:.0f} times the whole command."""
+The baseline would need {evaluations * inner:.0f} s for the annealing alone, at its time of one strike in the table above.
+This is {gain:.0f} times the whole command."""
 
 
 def _growth(document: dict[str, Any], picture: str) -> str:
@@ -163,8 +163,8 @@ def _growth(document: dict[str, Any], picture: str) -> str:
 
 {chr(10).join(lines)}
 
-The exponent is the slope of log time over log size through the last three sizes: 1 is O(n), below 1 a fixed cost still
-shows. From note to note the program chooses rate, modes and steps:
+The exponent is the slope of log time over log size through the last three sizes. It is 1 for O(n), and less where a
+fixed cost remains. The program chooses the rate of the contact, the modes and the steps for each note:
 
 {chr(10).join(notes)}"""
 
@@ -176,76 +176,48 @@ def _counts(document: dict[str, Any]) -> str:
     perf = instructions["perf"]
     said = (
         f"perf counts {perf:,.0f} instructions per step and candidate in a batch of 64." if perf
-        else "perf is missing or cannot count instructions on this machine."
+        else "`perf` could not count instructions on this machine."
     )  # fmt: skip
     flops = instructions["operations XLA counts in the program"]
     more = (
-        f" XLA's own analysis of the batch's program counts {flops:,.0f} operations, each loop's body once."
+        f" XLA's own analysis counts {flops:,.0f} operations in the program of the batch, with the body of a loop once."
         if flops
         else ""
     )
-    return f"""### Counts that no machine changes
+    return f"""### Counts that do not depend on the machine
 
-`python benchmarks/counts.py`, on a measurement of one second. `tests/test_counts.py` fails when they grow.
+`python benchmarks/counts.py` counts them in a fit of one second of sound. `tests/test_counts.py` fails when they grow.
 
 {chr(10).join(lines)}
 
-The kernel that matters is the step of the contact. {said}{more}"""
+Most of the time is in the steps of the contact. {said}{more}"""
 
 
 def _kernel(document: dict[str, Any]) -> str:
     k = document["inner"]["candidates"]
     slower = ratio(k["64 together"], k["same recursion compiled, 64"])
     verdict = (
-        f"That is within the factor of {TOO_SLOW:g} at which a compiled kernel behind JAX's FFI would be considered."
+        f"This is within the factor of {TOO_SLOW:g}, so a compiled kernel of our own is not worth its cost."
         if slower <= TOO_SLOW
-        else f"That is beyond the factor of {TOO_SLOW:g} at which a kernel of our own is considered."
+        else f"This is beyond the factor of {TOO_SLOW:g}, where a compiled kernel of our own is worth a trial."
     )  # fmt: skip
     return f"""### A compiled kernel of our own
 
-A batch of 64 candidates takes {slower:.2f} times as long in JAX as the same recursion compiled and run one by one on
-one core (a ratio below 1 is a gain). {verdict} A kernel of our own would need derivatives of its own, and a wheel for
-every system where now one is enough. There is none."""
-
-
-def _reasons(document: dict[str, Any]) -> str:
-    shares, fit = document["inner"]["shares of a fit"], document["commands"]["fit"]["median"]
-    baseline = 1e3 * document["inner"]["strike"]["baseline"]["median"]
-    ends = "together", "cores"
-    batches = {name: x for name, x in document["inner"]["candidates"].items() if name.endswith(ends)}
-    rate = max(int(name.split()[0]) / x["median"] for name, x in batches.items())
-    fastest = max(int(name.split()[0]) / x["fastest"] for name, x in batches.items())
-    return f"""### Where a target is missed, and why
-
-- **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
-  {shares["whole"]:.1f} s: the search for hammers {shares.get("hammer", 0.0):.1f} s, local restarts
-  {shares.get("restarts", 0.0):.1f} s, the minima with the string free {shares.get("string and hammer", 0.0):.1f} s and
-  the intervals {shares.get("intervals", 0.0):.1f} s. The rest is Python's start, imports, and loading what was compiled
-  before. Cold, it is XLA's compiler.
-- **The joint fit** samples the prior's hammers, strikes each at every velocity of a grid, and follows the best down the
-  same objective; what it costs grows with the recordings' strokes and partials.
-- **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
-- **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
-  core; the contact is a small part of it. The default fit compares partials in closed form instead.
-- **Candidates a second** follow what else the machine does: the median of the turns is {rate:,.0f}, the fastest turn
-  {fastest:,.0f}.
-- **Candidates over the baseline's:** the target of 800 refers to a baseline of 22 ms for a second of signal; the
-  one measured here takes {baseline:.1f} ms. Against 22 ms these would be {0.022 * rate:,.0f} times the baseline."""
+A batch of 64 candidates takes {slower:.2f} times as long in JAX as the same recursion, compiled by numba and run one by
+one on one core. {verdict} It would need derivatives of its own, and a wheel for every system. Now one wheel is enough
+for all."""
 
 
 def _accelerator(document: dict[str, Any]) -> str:
     found = document["accelerator"]
     if found is None:
-        return """### On an accelerator
-
-None was present in this run. `python benchmarks/accelerator.py` runs there unchanged: candidates a second for growing
-batches, and the largest batch before memory ends; where JAX finds one it becomes part of this page."""
+        return ""  # docs/datasets.md has what was measured on one
     lines = ["| batch | candidates a second |", "|---|---|"]
     lines += [f"| {int(size):,} | {rate:,.0f} |" for size, rate in found["rates"].items()]
     return f"""### On an accelerator
 
-{found["device"]}, float64, no code of its own. The largest batch was {found["largest batch"]:,}; what ended it was
-{found["ended by"]}.
+The device was {found["device"]}, in float64 with the same code. The largest batch was {found["largest batch"]:,}, ended
+by {found["ended by"]}.
 
 {chr(10).join(lines)}"""
 
