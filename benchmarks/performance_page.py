@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
 from measuring import into_page, ratio
 from works import ALL_CORES, BATCHES, HAMMERS, MODES, OBJECTIVE, SLOPES, STEPS
 
+# Load of the machine below which nothing else runs.
+QUIET_LOAD = 0.5
+# Characters of a line of the page.
+WIDTH = 120
 # Name of the marks of the page.
 MARK = "table"
 # Targets, by row: of the design, on two idle cores.
@@ -30,13 +35,21 @@ def text(document: dict[str, Any], picture: str) -> str:
         _opening(document), _side_by_side(document), _commands(document), _growth(document, picture),
         _counts(document), _kernel(document), _accelerator(document),
     ]  # fmt: skip
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return "\n\n".join(_wrapped(block) for part in parts for block in part.split("\n\n") if block) + "\n"
+
+
+def _wrapped(block: str) -> str:
+    """Wrap a paragraph; tables, titles and pictures stay as they are."""
+    if block.startswith(("|", "#", "!")):
+        return block
+    return textwrap.fill(" ".join(block.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 def _opening(document: dict[str, Any]) -> str:
     m = document["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items() if version)
-    busy = " **The machine was busy, so these times are too long.**" if max([0, *m["load"][:1]]) > 0.5 else ""
+    is_loaded = max([0, *m["load"][:1]]) > QUIET_LOAD
+    busy = " **Other programs ran within the minute before, so times may be too long.**" if is_loaded else ""
     return f"""## Single operations
 
 `python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md` writes this part of the page. It
@@ -79,11 +92,7 @@ def _side_by_side(document: dict[str, Any]) -> str:
         ("linear string, 64 modes, 1 s, plain `lax.scan`", f["forward"], ""),
         ("and its gradient", f["with gradient"], ""),
     ]  # fmt: skip
-    csound = (
-        ""
-        if "csound prepiano" in p
-        else "\n\ncsound was not installed (`apt install csound`), so it has no row."
-    )
+    csound = "" if "csound prepiano" in p else "\n\ncsound was not installed (`apt install csound`), so it has no row."
     lines = ["| what | median, ms | fastest, ms | comparison |", "|---|---|---|---|"]
     lines += [f"| {n} | {1e3 * x['median']:.2f} | {1e3 * x['fastest']:.2f} | {more} |" for n, x, more in rows]
     rates = ["| hammer candidates | a second | fastest | × baseline of 1 s |", "|---|---|---|---|"]
@@ -129,15 +138,15 @@ def _commands(document: dict[str, Any]) -> str:
     gain = evaluations * inner / table["paper's recipe"]["median"]
     return f"""### Whole commands
 
-The commands fit a synthetic note of {effort["seconds"]:g} s. The joint fit has {effort["recordings"]} recordings of it.
-The paper's recipe has {evaluations:,} evaluations by annealing on the demo's recording. Each command is a process of its
-own, with Python's start and all imports. Commands write no page unless the row says so. Warm commands have the compiled
-programs of earlier fits, and the cold one has an empty folder.
+The commands fit a synthetic note of {effort["seconds"]:g} s. The joint fit has {effort["recordings"]} recordings of
+it. The paper's recipe has {evaluations:,} evaluations by annealing on the demo's recording. Each command is a process
+of its own, with Python's start and all imports. Commands write no page unless the row says so. Warm commands have the
+compiled programs of earlier fits, and the cold one has an empty folder.
 
 {chr(10).join(lines)}
 
-The baseline would need {evaluations * inner:.0f} s for the annealing alone, at its time of one strike in the table above.
-This is {gain:.0f} times the whole command."""
+The baseline would need {evaluations * inner:.0f} s for the annealing alone, at its time of one strike in the table
+above. This is {gain:.0f} times the whole command."""
 
 
 def _growth(document: dict[str, Any], picture: str) -> str:

@@ -148,7 +148,7 @@ def in_space(out: Path) -> str:
     on_grid = []
     for n in spaces - 1:
         grid = cases.table(STRING, WIDE, rate=RATE, n_modes=int(n), kind="finite_difference")
-        rows = [np.asarray(x) for x in (grid.omega2, grid.alpha, grid.strike, grid.drive)]
+        rows = [np.asarray(x) for x in (grid.omega2, grid.alpha, grid.strike, grid.modal_gain)]
         signals = exact(rows, LIGHT, WIDE, times)
         on_grid.append([relative(x, e) for x, e in zip(signals, truth["raised cosine"], strict=True)])
     force, velocity = np.array(on_grid).T

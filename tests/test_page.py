@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 from dataclasses import replace
@@ -23,10 +24,11 @@ from instrument_cases import (
 from page_cases import BLOCK, RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
+from pianofit.dsp.filters import resample
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import RelaxingHammer
 from pianofit.instrument import Instrument, write_instrument
-from pianofit.model.modal_response import VelocityGain
+from pianofit.model.modal_response import VelocityGain, force_pulse
 from pianofit.model.modes import mode_frequencies
 from pianofit.playback import PlayOptions, Song, render_song
 from pianofit.playback.voice import StringVoice
@@ -34,7 +36,8 @@ from pianofit.schema.dampers import Dampers
 from pianofit.schema.instrument import KeyValue
 from pianofit.schema.notes import load_note
 from pianofit.web import write_playable_page
-from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note, slider_intervals
+from pianofit.web.knock_encoding import ENCODINGS, KnockEncoding, knock_sizes
+from pianofit.web.payload import encode_instrument, encode_note, slider_intervals
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -304,16 +307,47 @@ def test_changes_of_the_string_move_measured_partials_with_it():
 def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     piano = true_instrument()
     law = write_playable_page(tmp_path / "law.html", piano)
-    assert law.knocks is None
+    assert law.knock_error_db is None
     assert (tmp_path / "law.html").stat().st_size < 500_000
     rung = piano_of({midi: ringing_note(midi) for midi in piano.keys}, recorded=(60,))
     done = write_playable_page(tmp_path / "rung.html", rung)
     assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
-    assert done.knocks in (KnockEncoding(12_000, 8), KnockEncoding(8_000, 8))
-    one = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)
-    assert one[1] == KnockEncoding(44_100, 16)
+    assert done.knock_error_db is not None
+    assert done.knock_error_db < -20
+    _, alone = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)
+    assert alone is not None
+    assert alone < -80
     with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
         encode_instrument(rung, 100_000)
+
+
+@pytest.mark.parametrize("midi", [33, 93])
+def test_the_error_of_a_knock_is_that_of_its_sound(midi):
+    """Each encoding, decoded: the stroke differs by the stated error, and needs the stated characters."""
+    note = ringing_note(midi)
+    assert note.modal_response is not None
+    response = note.modal_response.scale_gain(note.gain)
+    force = force_pulse(note.strike(response.rate), note.hammer)
+    sizes = knock_sizes(response, force)
+    count = round(0.3 * response.rate)
+    played = response.sound(force, response.rate, 2 * count)
+    for encoding, characters, error in zip(ENCODINGS, *sizes, strict=True):
+        entry = encode_note(note, midi, encoding)["modal_response"]
+        assert sum(len(text) for row in entry["knock"] for text in row.values()) == characters
+        knock = resample(
+            np.stack([decoded(row, entry["bits"]) for row in entry["knock"]]), entry["rate"], response.rate
+        )
+        again = response._replace(knock=knock[:, : response.knock.shape[-1]]).sound(force, response.rate, 2 * count)
+        difference = ((again - played) ** 2).sum() / (played[:, :count] ** 2).sum()
+        # A rate keeps more than `PASS_BAND`. The filter of a low rate spreads an abrupt begin, which real knocks lack.
+        assert error - 12 < 10 * np.log10(difference) < error + 8
+
+
+def decoded(row: dict[str, str], bits: int) -> np.ndarray:
+    """The samples of a channel, by another way than the page's."""
+    scale = np.frombuffer(base64.b64decode(row["scale"]), "<f4").astype(float)
+    whole = np.frombuffer(base64.b64decode(row["whole"]), f"<i{bits // 8}")
+    return whole * np.repeat(scale, 256)[: len(whole)]
 
 
 def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():

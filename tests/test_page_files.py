@@ -21,7 +21,7 @@ from pianofit.playback.midi import read_song
 from pianofit.schema.bridge import BridgeAdmittance
 from pianofit.schema.dampers import Dampers
 from pianofit.schema.instrument import LARGEST_INSTRUMENT, KeyValue
-from pianofit.web.payload import KnockEncoding, encode_instrument, encode_note
+from pianofit.web.payload import encode_instrument, encode_note
 from pianofit.web.write import PAGE_BYTES, SCRIPT_BYTES, write_playable_page
 
 BLOCKS = 375  # 1 s
@@ -128,7 +128,7 @@ def test_the_script_leaves_the_room_for_an_instrument_that_is_counted_on(tmp_pat
     write_playable_page(tmp_path / "piano.html", piano())
     size = len(json.dumps(encode_instrument(piano(), PAGE_BYTES)[0]))
     assert (tmp_path / "piano.html").stat().st_size - size < SCRIPT_BYTES
-    assert encode_instrument(piano(), PAGE_BYTES)[1] == KnockEncoding(44_100, 16)
+    assert (encode_instrument(piano(), PAGE_BYTES)[1] or 0.0) < -80  # the best encoding
 
 
 # MIDI files.

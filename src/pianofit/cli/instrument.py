@@ -177,15 +177,15 @@ def page(
         "keys": len(loaded.keys),
         "recorded": len(loaded.recorded),
         "guesses": dict(zip(("between", "beyond"), loaded.unrecorded_counts, strict=True)),
-        "knocks": None if written.knocks is None else written.knocks._asdict(),
+        "knock_error_db": written.knock_error_db,
         "layers": written.layers,
     }
     print_result(info, _page_summary(info, loaded.guesses), as_json)
 
 
 def _page_summary(info: dict[str, Any], guesses: str) -> str:
-    knock_format = info["knocks"]
-    knocks = f"; knocks at {knock_format['rate']:g} Hz and {knock_format['bits']} bits" if knock_format else ""
+    error = info["knock_error_db"]
+    knocks = "" if error is None else f"; knocks within {error:.0f} dB of their notes"
     knocks += f"; {counted(info['layers'], 'recording')} next to them" if info["layers"] else ""
     return (
         f"{info['file']}: {counted(info['keys'], 'key')}, {info['recorded']} of them recorded; "

@@ -24,6 +24,8 @@ RENDER_MODELS: tuple[RenderModel, ...] = ("string model", "modes", "modes and kn
 LARGEST_KNOCK = 2**23
 # Most samples of a knock: half a second at the highest rate. A small compressed file could hold more.
 MOST_FRAMES = RATES[1] // 2
+# Lowest sample rate of a knock, Hz: instruments that a page saves have the reduced rates of the page.
+LOWEST_RATE = 4_000
 # Most modes, and most strokes, in a file: a library has some dozens of layers.
 MOST_MODES, MOST_STROKES = 4096, 256
 # Largest velocity gain as a factor, far beyond the differences between strokes.
@@ -237,7 +239,7 @@ def decode_sound(data: bytes, kind: str, path: object, channels: int | None = No
         raise FitError(f"{path}: cannot be read ({problem.error_string}); {HINT}") from None
     if not np.isfinite(samples).all():
         raise FitError(f"{path}: samples must be finite; {HINT}")
-    if samples.shape[1] != (channels or samples.shape[1]) or not RATES[0] <= rate <= RATES[1]:
+    if samples.shape[1] != (channels or samples.shape[1]) or not LOWEST_RATE <= rate <= RATES[1]:
         raise FitError(f"{path}: has {samples.shape[1]} channels at {rate} Hz, which does not match this fit; {HINT}")
     return samples.T, rate
 

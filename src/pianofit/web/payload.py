@@ -1,6 +1,6 @@
 """The payload of a page: an instrument for its scripts, with arrays in base64.
 
-Knocks take most of the size. They get the highest sample rate and the most bits that the size of the page allows.
+Knocks take most of the size. They share the room that is left, see `knock_encoding`.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import hertz_of
-from ..dsp.filters import resample
 from ..errors import ParameterError
 from ..felt import law_of
 from ..felt.soft_skin import SOFT_SKIN, SoftHammer
@@ -26,13 +25,23 @@ from ..literature import reference_compression, typical_strings
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
-from ..playback.voice import CHANNELS, KNOCK_RATES
+from ..playback.repeated_strike import strike_string, string_tables
+from ..playback.voice import CHANNELS
 from ..schema.dampers import LAST_DAMPER, Dampers
 from ..schema.decode import builtins_of
 from ..schema.instrument import KeyValue
+from .knock_encoding import (
+    BEST,
+    ENCODINGS,
+    SCALE_BLOCK,
+    EncodedSize,
+    KnockEncoding,
+    choose_encodings,
+    knock_sizes,
+    reduce_rate,
+    sound_sizes,
+)
 
-# Samples of a knock that share a scale.
-SCALE_BLOCK = 256
 # Significant digits of values and intervals, which are only displayed.
 DIGITS = 6
 # Sliders of the page that multiply the value of one keyboard law, and the laws of losses.
@@ -40,45 +49,68 @@ SLIDERS = {"force": "F/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "i
 LOSSES = ("b1", "d2")
 
 
-class KnockEncoding(NamedTuple):
-    """Encoding of knocks."""
-
-    rate: float  # highest sample rate, Hz
-    bits: int  # 8 or 16, of the largest sample within `SCALE_BLOCK`
+# Velocity of the strokes by which errors of knocks are measured, MIDI: loud ones, whose contacts are short.
+LOUD = 100
 
 
-# From the best to the smallest. The rate of a knock is never raised.
-KNOCK_ENCODINGS = (
-    KnockEncoding(math.inf, 16),
-    KnockEncoding(KNOCK_RATES[0], 16),
-    *(KnockEncoding(rate, 8) for rate in KNOCK_RATES),
-)
+def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], float | None]:
+    """Encode an instrument for the scripts of the page; also return the largest error of its knocks, dB, if it has any.
 
-
-def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], KnockEncoding | None]:
-    """Encode an instrument for the scripts of the page; also return the encoding of its knocks, if it has any.
+    The error is relative to the energy of the note.
 
     Raises
     ------
     ParameterError
         If a felt law cannot be played, or the payload exceeds `most_bytes`.
     """
-    responses = [key.note.modal_response for key in instrument.keys.values()]
-    rates = [response.rate for response in responses if response is not None and response.knock.size]
-    rates += [] if instrument.release is None else [instrument.release.rate]
-    size = 0
-    for knocks in KNOCK_ENCODINGS if rates else KNOCK_ENCODINGS[:1]:
-        payload = _encode(instrument, knocks)
-        size = len(json.dumps(payload))
-        if size <= most_bytes:
-            return payload, knocks._replace(rate=min(knocks.rate, max(rates))) if rates else None
-    raise ParameterError(
-        f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
-        "choose fewer keys"
-    )
+    knocks = {midi: size for midi in instrument.keys if (size := _knock_size(instrument.note(midi, LOUD), midi))}
+    noises = _noise_sizes(instrument)
+    sizes, error = [*knocks.values(), *noises.values()], None
+    chosen: list[KnockEncoding | None] = [None] * len(sizes)
+    if sizes:
+        empty = _encode(instrument, dict.fromkeys(knocks), dict.fromkeys(noises))
+        if found := choose_encodings(sizes, most_bytes - len(json.dumps(empty))):
+            chosen, error = found
+        else:
+            chosen = [ENCODINGS[0]] * len(sizes)
+    of_keys, of_noises = chosen[: len(knocks)], chosen[len(knocks) :]
+    payload = _encode(instrument, dict(zip(knocks, of_keys, strict=True)), dict(zip(noises, of_noises, strict=True)))
+    size = len(json.dumps(payload))
+    if size > most_bytes:
+        raise ParameterError(
+            f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
+            "choose fewer keys"
+        )
+    return payload, error
 
 
-def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
+def _knock_size(note: Note, midi: int) -> EncodedSize | None:
+    """Return characters and errors of the knock of a key, struck as `note`; None without a knock."""
+    response = note.modal_response
+    if response is None or not response.knock.size:
+        return None
+    table = string_tables(note._replace(path=None), response.rate)
+    _, force = strike_string(table, note.hammer, np.zeros(len(table.modes.pole), complex), f"key {midi_to_note(midi)}")
+    return knock_sizes(response, force)
+
+
+def _noise_sizes(instrument: Instrument) -> dict[int, EncodedSize]:
+    """Return characters and errors of the release noises, relative to their own energy."""
+    release = instrument.release
+    if release is None:
+        return {}
+    sounds = {midi: sound[: min(instrument.channels, CHANNELS)] for midi, sound in release.sounds.items()}
+    return {
+        midi: sound_sizes(sound, release.rate, np.ones(1), float((sound**2).sum())) for midi, sound in sounds.items()
+    }
+
+
+def _encode(
+    instrument: Instrument,
+    knocks: Mapping[int, KnockEncoding | None],
+    noises: Mapping[int, KnockEncoding | None],
+) -> dict[str, Any]:
+    """Encode an instrument with these encodings of the knocks and release noises of its keys; None for an empty one."""
     shown = {*SLIDERS.values(), *LOSSES, "p"}
     return {
         "name": instrument.name,
@@ -86,7 +118,7 @@ def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
         "even": instrument.even,
         "bridge": builtins_of(instrument.bridge) if instrument.resonates else None,
         "dampers": builtins_of(instrument.dampers),
-        "releases": _releases(instrument, knocks),
+        "releases": _releases(instrument, noises),
         "noise": _noise(instrument),
         "keys": [
             {
@@ -94,7 +126,7 @@ def _encode(instrument: Instrument, knocks: KnockEncoding) -> dict[str, Any]:
                 "note": midi_to_note(midi),
                 "recorded": key.fit is not None,
                 "state": key.state,
-                **encode_note(key.note, midi, knocks, instrument.dampers),
+                **encode_note(key.note, midi, knocks.get(midi, BEST), instrument.dampers),
                 "intervals": {name: _rounded(*span) for name, span in slider_intervals(key.values).items()},
                 "values": {name: _rounded(x.value, *x.interval) for name, x in key.values.items() if name in shown},
             }
@@ -133,17 +165,25 @@ def _is_positive(value: KeyValue) -> bool:
     return 0 < value.interval[0] <= value.value <= value.interval[1]
 
 
-def _releases(instrument: Instrument, knocks: KnockEncoding) -> list[dict[str, Any]]:
+def _releases(instrument: Instrument, noises: Mapping[int, KnockEncoding | None]) -> list[dict[str, Any]]:
     """Encode the release noises as knocks, in as many channels as the page plays of the keys."""
     release = instrument.release
     if release is None:
         return []
     channels = min(instrument.channels, CHANNELS)
-    encoded = [(midi, *_reduced(sound[:channels], release.rate, knocks)) for midi, sound in release.sounds.items()]
-    return [
-        {"midi": midi, "rate": rate, "bits": knocks.bits, "sound": [_quantise(row, knocks.bits) for row in sound]}
-        for midi, sound, rate in encoded
-    ]
+    entries = []
+    for midi, sound in release.sounds.items():
+        knock = _encode_sound(sound[:channels], release.rate, noises[midi])
+        entries.append({"midi": midi, "rate": knock["rate"], "bits": knock["bits"], "sound": knock["knock"]})
+    return entries
+
+
+def _encode_sound(sound: np.ndarray, rate: int, encoding: KnockEncoding | None) -> dict[str, Any]:
+    """Encode the channels of a knock, with rate and bits."""
+    if encoding is None:
+        sound, encoding = sound[:, :0], BEST
+    sound, rate = reduce_rate(sound, rate, encoding)
+    return {"rate": rate, "bits": encoding.bits, "knock": [_quantise(row, encoding.bits) for row in sound]}
 
 
 def _noise(instrument: Instrument) -> dict[str, Any] | None:
@@ -152,17 +192,10 @@ def _noise(instrument: Instrument) -> dict[str, Any] | None:
     return None if entry is None else builtins_of(replace(entry, density=entry.density[:CHANNELS]))
 
 
-def _reduced(sound: np.ndarray, rate: int, knocks: KnockEncoding) -> tuple[np.ndarray, int]:
-    """Reduce the rate of a sound [channels, samples] to that of knocks; also return its rate."""
-    if not sound.shape[-1] or rate <= knocks.rate:
-        return sound, rate
-    return resample(sound, rate, int(knocks.rate)), int(knocks.rate)
-
-
 def encode_note(
-    note: Note, midi: int, knocks: KnockEncoding = KNOCK_ENCODINGS[0], dampers: Dampers | None = None
+    note: Note, midi: int, knock: KnockEncoding | None = BEST, dampers: Dampers | None = None
 ) -> dict[str, Any]:
-    """Encode one key for `prepare.js`. Without `dampers` it has that of the literature.
+    """Encode one key for `prepare.js`. Without `dampers` it has that of the literature, without `knock` an empty one.
 
     Raises
     ------
@@ -184,7 +217,7 @@ def encode_note(
     entry |= {"damper": _damper(midi, dampers or Dampers()), "strings": typical_strings(midi)}
     entry |= {"compression": reference_compression(midi)}
     if note.modal_response is not None:
-        entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knocks)
+        entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knock)
     elif note.path is not None:
         f = note.path.frequency
         entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db)}
@@ -198,18 +231,15 @@ def _damper(midi: int, dampers: Dampers) -> dict[str, float] | None:
     return None if midi > LAST_DAMPER else {"rate": rate, "hertz": hertz, "slope": dampers.slope}
 
 
-def _modal_response(response: ModalResponse, knocks: KnockEncoding) -> dict[str, Any]:
+def _modal_response(response: ModalResponse, knock: KnockEncoding | None) -> dict[str, Any]:
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
-    knock, rate = _reduced(response.knock[:CHANNELS], response.rate, knocks)
     return {
         "partial": _base64(response.partial, "<u1" if response.partial.max(initial=0) < 256 else "<u2"),
         "decay": _base64(-np.real(response.pole)),
         "omega": _base64(np.imag(response.pole), "<f8"),
         "modal_amplitudes": _rows(response.pattern[:CHANNELS]),
         "velocity_gain": _velocity_gain(response),
-        "rate": rate,
-        "bits": knocks.bits,
-        "knock": [_quantise(row, knocks.bits) for row in knock],
+        **_encode_sound(response.knock[:CHANNELS], response.rate, knock),
     }
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ..instrument import Instrument
 from ..report import html
-from .payload import KnockEncoding, encode_instrument
+from .payload import encode_instrument
 from .recordings import recorded_layers
 
 # Bytes: small enough for an e-mail, and for a browser to open without delay.
@@ -45,7 +45,7 @@ PACKAGE = "pianofit.web"
 class PageSummary(NamedTuple):
     """Contents of the written page, in addition to the keys of the instrument."""
 
-    knocks: KnockEncoding | None  # encoding of knocks, if the instrument has any
+    knock_error_db: float | None  # largest error of a knock, relative to its note, if the instrument has any
     layers: int  # recordings
 
 
@@ -60,7 +60,7 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
 
     Returns
     -------
-    The encoding of the knocks, and the number of recordings.
+    The error of the knocks, and the number of recordings.
 
     Raises
     ------
@@ -75,9 +75,9 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
     --------
     >>> import pianofit
     >>> pianofit.write_playable_page("piano.html", pianofit.load_instrument("instrument.json"))
-    PageSummary(knocks=None, layers=0)
+    PageSummary(knock_error_db=None, layers=0)
     """
-    payload, knocks = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
+    payload, knock_error_db = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
     layers = recorded_layers(instrument) if recordings else {}
     changed = len(instrument.changed)
     by_hand = f"; {changed} {'was' if changed == 1 else 'were'} changed by hand" if changed else ""
@@ -95,7 +95,7 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
         guesses=instrument.guesses + by_hand,
         layers=layers,
     )
-    return PageSummary(knocks, sum(map(len, layers.values())))
+    return PageSummary(knock_error_db, sum(map(len, layers.values())))
 
 
 def engine_source() -> str:
