@@ -32,7 +32,6 @@ from pianofit.model.note import Note
 from pianofit.schema.bridge import BridgeAdmittance
 from pianofit.schema.decode import builtins_of
 from pianofit.web import write_playable_page
-from pianofit.web.knock_encoding import ENCODINGS
 from pianofit.web.payload import encode_note
 
 PROGRAM = """
@@ -142,10 +141,7 @@ def by_fit(midi: int, _: int) -> Note:
 
 def free_strings(runs: int, most: int) -> None:
     """Measure what the free strings cost, and print."""
-    keys = [
-        {"midi": midi, **encode_note(synthetic_piano.measured_note(midi), midi, ENCODINGS[1])}
-        for midi in range(21, 109)
-    ]
+    keys = [{"midi": midi, **encode_note(synthetic_piano.measured_note(midi), midi)} for midi in range(21, 109)]
     given = {"keys": keys, "runs": runs, "bridge": builtins_of(BridgeAdmittance()), **({"most": most} if most else {})}
     command = ["node", "--input-type=module", "-e", FREE_PROGRAM, str(Path(str(files("pianofit.web"))))]
     done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, check=True)

@@ -98,7 +98,9 @@ def test_a_saved_instrument_keeps_what_is_beyond_its_strings(tmp_path):
     assert (found.bridge, found.dampers) == (bridge, dampers)
     assert found.release is not None
     assert found.release.rate == 44_100
-    assert found.release.sounds[52] == pytest.approx(VOLUME * release.sounds[52], abs=1e-4)
+    assert found.release.sounds[52][:, : release.sounds[52].shape[-1]] == pytest.approx(
+        VOLUME * release.sounds[52], abs=1e-4
+    )
     assert found.noise is not None
     assert found.noise.density == pytest.approx(VOLUME**2 * noise.density)
 
@@ -128,7 +130,7 @@ def test_the_script_leaves_the_room_for_an_instrument_that_is_counted_on(tmp_pat
     write_playable_page(tmp_path / "piano.html", piano())
     size = len(json.dumps(encode_instrument(piano(), PAGE_BYTES)[0]))
     assert (tmp_path / "piano.html").stat().st_size - size < SCRIPT_BYTES
-    assert (encode_instrument(piano(), PAGE_BYTES)[1] or 0.0) < -80  # the best encoding
+    assert encode_instrument(piano(), PAGE_BYTES)[1] == -90  # the best encoding
 
 
 # MIDI files.

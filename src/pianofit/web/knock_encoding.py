@@ -1,15 +1,18 @@
 """Encodings of knocks and release noises: every sound as small as one common error allows.
 
 A page has room for a certain number of bytes. The attack noise of a bass key lies mostly below 2 kHz, because a long
-contact excites nothing above. That of a treble key reaches 10 kHz, and is short. So one sample rate for all keys would
-waste room or lose attacks. Here all sounds get the same error relative to the note, the smallest for which all fit.
+contact excites little above. That of a treble key reaches 10 kHz. So one sample rate for all keys would waste room or
+lose attacks. Here all sounds get the same error relative to the note, the smallest for which all fit. A sound has the
+sample rate that is sufficient for it. Its step of rounding falls with the square root of the level, so that the decay
+of a knock does not end in silence. Samples are packed with the number of bits that their block needs.
 """
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,103 +20,147 @@ from ..dsp.filters import resample
 from ..model.modal_response import ForcePulse, ModalResponse
 from ..playback.voice import CHANNELS, KNOCK_RATES
 
-# Samples of a knock that share a scale.
-SCALE_BLOCK = 256
+# Samples that share a step and a number of bits, which are stored in one byte.
+BLOCK = 64
+# Steps between zero and the largest sample, at most: 15 bits with the sign, the most that half a byte can state.
+MOST_STEPS = 2**14 - 1
+# Most halvings of the step in the decay of a sound, the most that half a byte can state.
+MOST_HALVINGS = 15
 # Part of half the sample rate that the filter of the resampling keeps.
 PASS_BAND = 0.9
 # Errors that are tried, dB relative to the energy of the note.
-ERRORS_DB = np.arange(-90.0, -9.0)
+ERRORS_DB = np.arange(-90.0, 1.0)
 # Span of the note to whose energy an error is compared, s: an attack.
-ATTACK_SECONDS = 0.3
+ATTACK_SECONDS = 0.03
 
 
 class KnockEncoding(NamedTuple):
     """Encoding of a sound."""
 
-    rate: float  # highest sample rate, Hz
-    bits: int  # 8 or 16, of the largest sample within `SCALE_BLOCK`
+    rate: float  # highest sample rate, Hz; the rate of a sound is never raised
+    step: float  # of rounding at the largest sample, in units of the sound; at least this sample over `MOST_STEPS`
 
 
-# The best encoding, and the others from the smallest on. The rate of a knock is never raised.
-BEST = KnockEncoding(math.inf, 16)
-ENCODINGS = (*(KnockEncoding(rate, 8) for rate in reversed(KNOCK_RATES)), KnockEncoding(math.inf, 8), BEST)
+BEST = KnockEncoding(math.inf, 0.0)
 
 
-class EncodedSize(NamedTuple):
-    """Characters and errors of a sound in every encoding of `ENCODINGS`."""
-
-    characters: np.ndarray  # of base64 [encodings]
-    error_db: np.ndarray  # relative to the energy of the note, dB [encodings]
-
-
-def knock_sizes(response: ModalResponse, force: ForcePulse) -> EncodedSize:
-    """Return characters and errors of a knock, as a stroke of this force makes it sound."""
-    count = round(ATTACK_SECONDS * response.rate)
-    note = response.sound(force, response.rate, count)[:CHANNELS]
-    return sound_sizes(response.knock[:CHANNELS], response.rate, force.at(response.rate), float((note**2).sum()))
-
-
-def sound_sizes(sound: np.ndarray, rate: int, pulse: np.ndarray, energy: float) -> EncodedSize:
-    """Return characters and errors of a sound.
+class EncodedSound:
+    """A sound of a page, and the smallest encoding for any error.
 
     Parameters
     ----------
     sound : response to a unit impulse [channels, samples].
     rate : its sample rate, Hz.
     pulse : what it is convolved with [samples].
-    energy : energy of the note, the sum of squares of samples at `rate`.
+    energy : energy of the note, the sum of the squares of the differences of its samples at `rate`. The differences
+        weigh high frequencies as much as low ones, whose partials are stronger.
     """
-    size = sound.shape[-1] + len(pulse)
-    filtered = np.abs(np.fft.rfft(pulse, size)) ** 2
-    # Energy of the filtered sound by bins, and the sum from each bin to the highest.
-    spectrum = 2 * filtered * (np.abs(np.fft.rfft(sound, size)) ** 2).sum(axis=0) / size
-    above = np.append(np.cumsum(spectrum[::-1])[::-1], 0.0)
-    characters, errors = [], []
-    for encoding in ENCODINGS:
-        reduced = min(encoding.rate, rate)
-        samples = math.ceil(sound.shape[-1] * reduced / rate)
-        blocks = math.ceil(samples / SCALE_BLOCK)
-        bins = math.ceil(0.5 * reduced / rate * size)
-        lost = 0.0 if reduced == rate else above[math.ceil(PASS_BAND * bins)]
-        # Rounding is white noise up to half of the reduced rate, with a twelfth of the square of a step a sample.
-        step = _block_peaks(sound, SCALE_BLOCK * rate / reduced) / (2 ** (encoding.bits - 1) - 1)
-        rounding = (step**2).sum() * SCALE_BLOCK * rate / reduced / 12 * filtered[:bins].mean()
-        characters.append(len(sound) * (_base64_size(samples * encoding.bits // 8) + _base64_size(4 * blocks)))
-        errors.append(10 * math.log10(max(lost + rounding, 1e-300) / max(energy, 1e-300)))
-    return EncodedSize(np.array(characters), np.array(errors))
+
+    def __init__(self, sound: np.ndarray, rate: int, pulse: np.ndarray, energy: float) -> None:
+        self.energy = energy
+        size = sound.shape[-1] + len(pulse)
+        gain = np.abs(np.fft.rfft(pulse, size) * (1 - np.exp(-2j * np.pi * np.arange(size // 2 + 1) / size))) ** 2
+        spectrum = 2 * gain * (np.abs(np.fft.rfft(sound, size)) ** 2).sum(axis=0) / size
+        above = np.append(np.cumsum(spectrum[::-1])[::-1], 0.0)
+        self._choices = []  # of rate: sound, energy above it, and energy of rounding for a step of 1
+        for highest in (*(x for x in KNOCK_RATES if x < rate), math.inf):
+            reduced, own = reduce_rate(sound, rate, highest)
+            bins = math.ceil(0.5 * own / rate * size)
+            lost = 0.0 if own == rate else float(above[math.ceil(PASS_BAND * bins)])
+            finer = np.mean([0.25 ** _halvings(_blocks(row)) for row in reduced]) if reduced.size else 0.0
+            self._choices.append((highest, reduced, lost, sound.size / 12 * float(gain[:bins].mean() * finer)))
+
+    def smallest(self, error_db: float) -> tuple[KnockEncoding, int]:
+        """Return the smallest encoding with this error, or the best one, and its characters."""
+        allowed = 10 ** (error_db / 10) * self.energy
+        found = []
+        for highest, sound, lost, rounding in self._choices:
+            if lost < allowed or highest == math.inf:
+                step = math.sqrt(max(allowed - lost, 0.0) / max(rounding, 1e-300))
+                found.append((KnockEncoding(highest, step), _characters(sound, step)))
+        return min(found, key=lambda pair: pair[1])
 
 
-def choose_encodings(sizes: Sequence[EncodedSize], room: int) -> tuple[list[KnockEncoding], float] | None:
-    """Return an encoding for each sound and the largest error, dB; None if no choice fits into `room` characters.
-
-    At every error of `ERRORS_DB` a sound takes the smallest encoding that keeps it, or the best one.
-    """
-    for allowed in ERRORS_DB:
-        chosen = [_smallest(size, allowed) for size in sizes]
-        if sum(int(size.characters[i]) for size, i in zip(sizes, chosen, strict=True)) <= room:
-            worst = max((float(size.error_db[i]) for size, i in zip(sizes, chosen, strict=True)), default=-math.inf)
-            return [ENCODINGS[i] for i in chosen], worst
-    return None
+def encoded_knock(response: ModalResponse, force: ForcePulse) -> EncodedSound:
+    """Return the sound of a knock, with its error in a stroke of this force."""
+    count = round(ATTACK_SECONDS * response.rate)
+    note = np.diff(response.sound(force, response.rate, count)[:CHANNELS])
+    return EncodedSound(response.knock[:CHANNELS], response.rate, force.at(response.rate), float((note**2).sum()))
 
 
-def reduce_rate(sound: np.ndarray, rate: int, encoding: KnockEncoding) -> tuple[np.ndarray, int]:
-    """Reduce the rate of a sound [channels, samples] to that of an encoding; also return its rate."""
-    if not sound.shape[-1] or rate <= encoding.rate:
+def choose_encodings(sounds: Sequence[EncodedSound], room: int) -> tuple[list[KnockEncoding], float] | None:
+    """Return an encoding for each sound and their error, dB; None if no error of `ERRORS_DB` fits into `room`."""
+    first, last = 0, len(ERRORS_DB)
+    while first < last:  # the characters fall with the error
+        middle = (first + last) // 2
+        fits = sum(sound.smallest(ERRORS_DB[middle])[1] for sound in sounds) <= room
+        first, last = (first, middle) if fits else (middle + 1, last)
+    if first == len(ERRORS_DB):
+        return None
+    return [sound.smallest(ERRORS_DB[first])[0] for sound in sounds], float(ERRORS_DB[first])
+
+
+def reduce_rate(sound: np.ndarray, rate: int, highest: float) -> tuple[np.ndarray, int]:
+    """Reduce the rate of a sound [channels, samples] to `highest`, Hz, if it is above; also return its rate."""
+    if not sound.shape[-1] or rate <= highest:
         return sound, rate
-    return resample(sound, rate, int(encoding.rate)), int(encoding.rate)
+    return resample(sound, rate, int(highest)), int(highest)
 
 
-def _smallest(size: EncodedSize, allowed: float) -> int:
-    kept = np.flatnonzero(size.error_db <= allowed)
-    return int(kept[np.argmin(size.characters[kept])]) if len(kept) else len(ENCODINGS) - 1
+def pack(samples: np.ndarray, step: float) -> dict[str, Any]:
+    """Encode the samples of a channel for `samples` in `prepare.js`: step, a byte for each block, and whole numbers.
+
+    The byte has the number of bits in its lower half, and the halvings of the step in its upper half. A block of b bits
+    has numbers from -2^(b-1) to 2^(b-1) - 1, stored from 0 on, with the highest bit first.
+    """
+    step = float(f"{_least_step(samples, step):.6g}")
+    halvings, whole, bits = _whole(samples, step)
+    packed = [
+        (((row[:, None] + (1 << (width - 1))) >> np.arange(width - 1, -1, -1)) & 1).ravel()
+        for row, width in zip(whole, bits, strict=True)
+        if width
+    ]
+    stream = np.packbits(np.concatenate([np.zeros(0, int), *packed]).astype(bool))
+    return {"step": step, "blocks": _base64((halvings * 16 + bits).astype(np.uint8)), "packed": _base64(stream)}
 
 
-def _block_peaks(sound: np.ndarray, block: float) -> np.ndarray:
-    """Return the largest sample of each block [channels, blocks]."""
-    if not sound.size:
-        return np.zeros((len(sound), 0))
-    begins = np.arange(0, sound.shape[-1], block).astype(int)
-    return np.maximum.reduceat(np.abs(sound), begins, axis=-1)
+def _characters(sound: np.ndarray, step: float) -> int:
+    """Return the characters of base64 of a sound [channels, samples]."""
+    total = 0
+    for row in sound:
+        bits = _whole(row, _least_step(row, step))[2]
+        total += _base64_size(len(bits)) + _base64_size(math.ceil(int(bits.sum()) * BLOCK / 8))
+    return total
+
+
+def _least_step(samples: np.ndarray, step: float) -> float:
+    return max(step, float(np.abs(samples).max(initial=0.0)) / MOST_STEPS, 1e-300)
+
+
+def _blocks(samples: np.ndarray) -> np.ndarray:
+    """Return samples as rows of a block [blocks, BLOCK]."""
+    return np.pad(samples, (0, -len(samples) % BLOCK)).reshape(-1, BLOCK)
+
+
+def _halvings(rows: np.ndarray) -> np.ndarray:
+    """Return how often the step of each block is halved: half as often as its peak [blocks]."""
+    peak = np.abs(rows).max(axis=1)
+    fall = np.log2(np.maximum(peak.max(initial=0.0), 1e-300) / np.maximum(peak, 1e-300))
+    return np.minimum(np.floor(fall / 2), MOST_HALVINGS).astype(int)
+
+
+def _whole(samples: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the halvings [blocks], whole numbers [blocks, BLOCK] and bits [blocks] of samples."""
+    rows = _blocks(samples)
+    halvings = _halvings(rows)
+    whole = np.round(rows / (step * 0.5 ** halvings[:, None])).astype(int)
+    peak = np.abs(whole).max(axis=1)
+    bits = np.where(peak > 0, np.ceil(np.log2(np.maximum(peak, 1) + 1)) + 1, 0).astype(int)
+    return halvings, whole, bits
+
+
+def _base64(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
 
 
 def _base64_size(count: int) -> int:

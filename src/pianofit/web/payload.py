@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,14 +32,13 @@ from ..schema.decode import builtins_of
 from ..schema.instrument import KeyValue
 from .knock_encoding import (
     BEST,
-    ENCODINGS,
-    SCALE_BLOCK,
-    EncodedSize,
+    ERRORS_DB,
+    EncodedSound,
     KnockEncoding,
     choose_encodings,
-    knock_sizes,
+    encoded_knock,
+    pack,
     reduce_rate,
-    sound_sizes,
 )
 
 # Significant digits of values and intervals, which are only displayed.
@@ -49,6 +48,8 @@ SLIDERS = {"force": "F/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "i
 LOSSES = ("b1", "d2")
 
 
+# Characters of numbers and names of a sound, beyond those of an empty one, at most.
+SOUND_BYTES = 60
 # Velocity of the strokes by which errors of knocks are measured, MIDI: loud ones, whose contacts are short.
 LOUD = 100
 
@@ -63,16 +64,17 @@ def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str
     ParameterError
         If a felt law cannot be played, or the payload exceeds `most_bytes`.
     """
-    knocks = {midi: size for midi in instrument.keys if (size := _knock_size(instrument.note(midi, LOUD), midi))}
-    noises = _noise_sizes(instrument)
-    sizes, error = [*knocks.values(), *noises.values()], None
-    chosen: list[KnockEncoding | None] = [None] * len(sizes)
-    if sizes:
+    knocks = {midi: sound for midi in instrument.keys if (sound := _knock(instrument.note(midi, LOUD), midi))}
+    noises = _noises(instrument)
+    sounds, error = [*knocks.values(), *noises.values()], None
+    chosen: Sequence[KnockEncoding | None] = [None] * len(sounds)
+    if sounds:
         empty = _encode(instrument, dict.fromkeys(knocks), dict.fromkeys(noises))
-        if found := choose_encodings(sizes, most_bytes - len(json.dumps(empty))):
+        found = choose_encodings(sounds, most_bytes - SOUND_BYTES * len(sounds) - len(json.dumps(empty)))
+        if found:
             chosen, error = found
         else:
-            chosen = [ENCODINGS[0]] * len(sizes)
+            chosen = [sound.smallest(ERRORS_DB[-1])[0] for sound in sounds]
     of_keys, of_noises = chosen[: len(knocks)], chosen[len(knocks) :]
     payload = _encode(instrument, dict(zip(knocks, of_keys, strict=True)), dict(zip(noises, of_noises, strict=True)))
     size = len(json.dumps(payload))
@@ -84,24 +86,25 @@ def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str
     return payload, error
 
 
-def _knock_size(note: Note, midi: int) -> EncodedSize | None:
-    """Return characters and errors of the knock of a key, struck as `note`; None without a knock."""
+def _knock(note: Note, midi: int) -> EncodedSound | None:
+    """Return the knock of a key, struck as `note`; None without a knock."""
     response = note.modal_response
     if response is None or not response.knock.size:
         return None
     table = string_tables(note._replace(path=None), response.rate)
     _, force = strike_string(table, note.hammer, np.zeros(len(table.modes.pole), complex), f"key {midi_to_note(midi)}")
-    return knock_sizes(response, force)
+    return encoded_knock(response.scale_gain(float(note.gain)), force)
 
 
-def _noise_sizes(instrument: Instrument) -> dict[int, EncodedSize]:
-    """Return characters and errors of the release noises, relative to their own energy."""
+def _noises(instrument: Instrument) -> dict[int, EncodedSound]:
+    """Return the release noises, with errors relative to their own energy."""
     release = instrument.release
     if release is None:
         return {}
     sounds = {midi: sound[: min(instrument.channels, CHANNELS)] for midi, sound in release.sounds.items()}
     return {
-        midi: sound_sizes(sound, release.rate, np.ones(1), float((sound**2).sum())) for midi, sound in sounds.items()
+        midi: EncodedSound(sound, release.rate, np.ones(1), float((np.diff(sound) ** 2).sum()))
+        for midi, sound in sounds.items()
     }
 
 
@@ -174,16 +177,16 @@ def _releases(instrument: Instrument, noises: Mapping[int, KnockEncoding | None]
     entries = []
     for midi, sound in release.sounds.items():
         knock = _encode_sound(sound[:channels], release.rate, noises[midi])
-        entries.append({"midi": midi, "rate": knock["rate"], "bits": knock["bits"], "sound": knock["knock"]})
+        entries.append({"midi": midi, "rate": knock["rate"], "sound": knock["knock"]})
     return entries
 
 
 def _encode_sound(sound: np.ndarray, rate: int, encoding: KnockEncoding | None) -> dict[str, Any]:
-    """Encode the channels of a knock, with rate and bits."""
+    """Encode the channels of a knock, with their rate."""
     if encoding is None:
         sound, encoding = sound[:, :0], BEST
-    sound, rate = reduce_rate(sound, rate, encoding)
-    return {"rate": rate, "bits": encoding.bits, "knock": [_quantise(row, encoding.bits) for row in sound]}
+    sound, rate = reduce_rate(sound, rate, encoding.rate)
+    return {"rate": rate, "knock": [pack(row, encoding.step) for row in sound]}
 
 
 def _noise(instrument: Instrument) -> dict[str, Any] | None:
@@ -254,14 +257,6 @@ def _velocity_gain(response: ModalResponse) -> dict[str, Any] | None:
 
 def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
     return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
-
-
-def _quantise(samples: np.ndarray, bits: int) -> dict[str, str]:
-    """Encode samples as integers, with a scale for every `SCALE_BLOCK` of them."""
-    rows = np.pad(samples, (0, -len(samples) % SCALE_BLOCK)).reshape(-1, SCALE_BLOCK)
-    scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
-    integers = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
-    return {"scale": _base64(scale), "whole": _base64(integers, f"<i{bits // 8}")}
 
 
 def _base64(values: np.ndarray, kind: str = "<f4") -> str:

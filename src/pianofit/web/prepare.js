@@ -36,17 +36,27 @@ function numbers(text, kind = Float32Array) {
   return Float64Array.from(new kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
 }
 
-const SCALE_BLOCK = 256; // samples of a knock that share a scale, see payload.py
+const PACKED_BLOCK = 64; // samples that share a number of bits, see knock_encoding.py
 
-/** Samples of a channel, see payload.py. */
-function samples({ scale, whole }, bits) {
-  const scales = numbers(scale), integers = numbers(whole, bits === 8 ? Int8Array : Int16Array);
-  return integers.map((x, n) => x * scales[Math.floor(n / SCALE_BLOCK)]);
+/** Samples of a channel, see `pack` in knock_encoding.py. */
+function samples({ step, blocks, packed }) {
+  const heads = numbers(blocks, Uint8Array), bytes = numbers(packed, Uint8Array);
+  const out = new Float64Array(heads.length * PACKED_BLOCK);
+  let bit = 0, n = 0;
+  for (const head of heads) {
+    const width = head & 15, unit = step / 2 ** (head >> 4);
+    for (const end = n + PACKED_BLOCK; n < end; n++) {
+      let whole = 0;
+      for (let left = width; left > 0; left--, bit++) whole = 2 * whole + ((bytes[bit >> 3] >> (7 - (bit & 7))) & 1);
+      if (width) out[n] = unit * (whole - 2 ** (width - 1));
+    }
+  }
+  return out;
 }
 
 /** Decode the release noises of payload.py: [{midi, sound: [channels], rate}]. */
 export function decodeReleases(releases) {
-  return releases.map(({ midi, sound, bits, rate }) => ({ midi, rate, sound: sound.map((x) => samples(x, bits)) }));
+  return releases.map(({ midi, sound, rate }) => ({ midi, rate, sound: sound.map(samples) }));
 }
 
 /** Decode an entry of payload.py to a key for `prepare`. */
@@ -57,7 +67,7 @@ export function decode(entry) {
   return key;
 }
 
-function decodeResponse({ partial, decay, omega, modal_amplitudes, velocity_gain, knock, bits, rate }) {
+function decodeResponse({ partial, decay, omega, modal_amplitudes, velocity_gain, knock, rate }) {
   const pair = (column) => ({ re, im }) => ({ re: column(re), im: column(im) });
   const gain = (text) => numbers(text, Int16Array).map((x) => x * velocity_gain.scale);
   const count = numbers(decay).length, kind = atob(partial).length === count ? Uint8Array : Uint16Array;
@@ -66,7 +76,7 @@ function decodeResponse({ partial, decay, omega, modal_amplitudes, velocity_gain
     pole: { re: numbers(decay).map((x) => -x), im: numbers(omega, Float64Array) },
     modal_amplitudes: modal_amplitudes.map(pair(numbers)),
     velocity_gain: velocity_gain && { velocity: velocity_gain.velocity, strokes: velocity_gain.strokes.map(pair(gain)) },
-    knock: knock.map((channel) => samples(channel, bits)),
+    knock: knock.map(samples),
     rate,
   };
 }
