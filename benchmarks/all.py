@@ -21,6 +21,8 @@ import sys
 import time
 from pathlib import Path
 
+from measuring import commit
+
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
 # A command in the first cell of a row, and a name to be replaced.
@@ -46,21 +48,17 @@ def commands(words: list[str], values: dict[str, str]) -> tuple[dict[str, list[s
 
 def origin() -> str:
     """Return commit, machine and load as lines."""
-    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return f"commit {commit}, {platform.platform()}, {os.cpu_count()} cores{load}, Python {platform.python_version()}"
+    return f"commit {commit()}, {platform.platform()}, {os.cpu_count()} cores{load}, Python {platform.python_version()}"
 
 
 def note_time(page: Path, command: str, seconds: float) -> None:
     """Write the commit and the minutes that a command took into the last cell of its row."""
     took = f"{seconds:.0f} s" if seconds < SHORT_S else f"{seconds / 60:.0f} min"
-    git = ["git", "-C", str(ROOT), "rev-parse", "--short=7", "HEAD"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     lines = page.read_text(encoding="utf-8").split("\n")
     for i, line in enumerate(lines):
         if line.startswith(f"| `{command}`"):
-            lines[i] = f"{line.rsplit('|', 2)[0]}| {took}, {commit} |"
+            lines[i] = f"{line.rsplit('|', 2)[0]}| {took}, {commit()} |"
     page.write_text("\n".join(lines), encoding="utf-8")
 
 
