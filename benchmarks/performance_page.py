@@ -251,7 +251,7 @@ def draw(growth: dict[str, Any], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     series = {name: x for name, x in growth.items() if name != "notes"}
-    with plt.rc_context({"svg.hashsalt": "pianofit", "font.size": 8}):
+    with plt.rc_context({"svg.hashsalt": "pianofit", "svg.fonttype": "none", "font.size": 8}):
         figure, axes = plt.subplots(2, -(-len(series) // 2), figsize=(10, 4.5), constrained_layout=True)
         for axis, (name, x) in zip(axes.ravel(), series.items(), strict=False):
             axis.loglog(x["sizes"], [1e3 * s for s in x["seconds"]], "o-", color="#1f5fa8", ms=3)

@@ -315,7 +315,8 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     assert done.knock_error_db is not None
     assert done.knock_error_db < -20
     _, alone = encode_instrument(piano_of({60: rung.keys[60].note}), 1_000_000)
-    assert alone == -90
+    assert alone is not None
+    assert alone < -75
     with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
         encode_instrument(rung, 100_000)
 

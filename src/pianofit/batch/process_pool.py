@@ -24,7 +24,7 @@ from typing import Any
 
 from .fit_job import JobResult, fit_job
 
-# A worker grows by some 45 MB a job. After eight jobs of five recordings it has less than 1 GB (benchmarks/library.py).
+# A worker grows with its jobs: to 1.3 GB after 16 keys of five recordings (benchmarks/library.py).
 MAX_JOBS_PER_WORKER = 8  # jobs
 # Longest time for a new worker to start Python and to import what it needs, s. A job's time limit begins afterwards.
 LONGEST_START = 120.0

@@ -22,10 +22,10 @@ from ..playback.voice import CHANNELS, KNOCK_RATES
 
 # Samples that share a step and a number of bits, which are stored in one byte.
 BLOCK = 64
-# Steps between zero and the largest sample, at most: 15 bits with the sign, the most that half a byte can state.
-MOST_STEPS = 2**14 - 1
-# Most halvings of the step in the decay of a sound, the most that half a byte can state.
-MOST_HALVINGS = 15
+# Largest number that half a byte can state: the most bits of a block, and the most halvings of its step.
+HALF_BYTE = 15
+# Steps between zero and the largest sample, at most: one bit is the sign.
+MOST_STEPS = 2 ** (HALF_BYTE - 1) - 1
 # Part of half the sample rate that the filter of the resampling keeps.
 PASS_BAND = 0.9
 # Errors that are tried, dB relative to the energy of the note.
@@ -80,6 +80,12 @@ class EncodedSound:
                 found.append((KnockEncoding(highest, step), _characters(sound, step)))
         return min(found, key=lambda pair: pair[1])
 
+    def error_db(self, encoding: KnockEncoding) -> float:
+        """Return the error of an encoding relative to the energy of the note, dB."""
+        sound, lost, rounding = next(rest for highest, *rest in self._choices if highest == encoding.rate)
+        step = max(_least_step(row, encoding.step) for row in sound)
+        return 10 * math.log10(max(lost + rounding * step**2, 1e-300) / max(self.energy, 1e-300))
+
 
 def encoded_knock(response: ModalResponse, force: ForcePulse) -> EncodedSound:
     """Return the sound of a knock, with its error in a stroke of this force."""
@@ -88,16 +94,18 @@ def encoded_knock(response: ModalResponse, force: ForcePulse) -> EncodedSound:
     return EncodedSound(response.knock[:CHANNELS], response.rate, force.at(response.rate), float((note**2).sum()))
 
 
-def choose_encodings(sounds: Sequence[EncodedSound], room: int) -> tuple[list[KnockEncoding], float] | None:
-    """Return an encoding for each sound and their error, dB; None if no error of `ERRORS_DB` fits into `room`."""
-    first, last = 0, len(ERRORS_DB)
+def choose_encodings(sounds: Sequence[EncodedSound], room: int) -> tuple[list[KnockEncoding], float]:
+    """Return an encoding for each sound and the largest error, dB.
+
+    They fit into `room` characters, unless no error of `ERRORS_DB` does.
+    """
+    first, last = 0, len(ERRORS_DB) - 1
     while first < last:  # the characters fall with the error
         middle = (first + last) // 2
         fits = sum(sound.smallest(ERRORS_DB[middle])[1] for sound in sounds) <= room
         first, last = (first, middle) if fits else (middle + 1, last)
-    if first == len(ERRORS_DB):
-        return None
-    return [sound.smallest(ERRORS_DB[first])[0] for sound in sounds], float(ERRORS_DB[first])
+    chosen = [sound.smallest(ERRORS_DB[first])[0] for sound in sounds]
+    return chosen, max(sound.error_db(encoding) for sound, encoding in zip(sounds, chosen, strict=True))
 
 
 def reduce_rate(sound: np.ndarray, rate: int, highest: float) -> tuple[np.ndarray, int]:
@@ -146,7 +154,7 @@ def _halvings(rows: np.ndarray) -> np.ndarray:
     """Return how often the step of each block is halved: half as often as its peak [blocks]."""
     peak = np.abs(rows).max(axis=1)
     fall = np.log2(np.maximum(peak.max(initial=0.0), 1e-300) / np.maximum(peak, 1e-300))
-    return np.minimum(np.floor(fall / 2), MOST_HALVINGS).astype(int)
+    return np.minimum(np.floor(fall / 2), HALF_BYTE).astype(int)
 
 
 def _whole(samples: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

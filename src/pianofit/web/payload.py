@@ -32,7 +32,6 @@ from ..schema.decode import builtins_of
 from ..schema.instrument import KeyValue
 from .knock_encoding import (
     BEST,
-    ERRORS_DB,
     EncodedSound,
     KnockEncoding,
     choose_encodings,
@@ -48,8 +47,8 @@ SLIDERS = {"force": "F/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "i
 LOSSES = ("b1", "d2")
 
 
-# Characters of numbers and names of a sound, beyond those of an empty one, at most.
-SOUND_BYTES = 60
+# Characters by which the steps of two channels can be longer than those of an empty sound.
+SOUND_BYTES = 10
 # Velocity of the strokes by which errors of knocks are measured, MIDI: loud ones, whose contacts are short.
 LOUD = 100
 
@@ -70,11 +69,7 @@ def encode_instrument(instrument: Instrument, most_bytes: int) -> tuple[dict[str
     chosen: Sequence[KnockEncoding | None] = [None] * len(sounds)
     if sounds:
         empty = _encode(instrument, dict.fromkeys(knocks), dict.fromkeys(noises))
-        found = choose_encodings(sounds, most_bytes - SOUND_BYTES * len(sounds) - len(json.dumps(empty)))
-        if found:
-            chosen, error = found
-        else:
-            chosen = [sound.smallest(ERRORS_DB[-1])[0] for sound in sounds]
+        chosen, error = choose_encodings(sounds, most_bytes - SOUND_BYTES * len(sounds) - len(json.dumps(empty)))
     of_keys, of_noises = chosen[: len(knocks)], chosen[len(knocks) :]
     payload = _encode(instrument, dict(zip(knocks, of_keys, strict=True)), dict(zip(noises, of_noises, strict=True)))
     size = len(json.dumps(payload))
