@@ -121,7 +121,7 @@ def normal_scores(case: Case) -> np.ndarray:
 
 def main() -> None:
     """Print the table."""
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=200)

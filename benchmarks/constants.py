@@ -192,7 +192,7 @@ def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
     """Return the panel with one constant times a factor; unchanged if the factor is 1."""
     import coverage_twins  # noqa: F401 - it must read the unchanged priors
 
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     enable_program_cache()
     name, factor = job

@@ -31,7 +31,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     import pianofit
     from pianofit.analysis import analyse
     from pianofit.inference import InferenceResult, build_problem, map_estimate
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
     from pianofit.result import build_result
     from pianofit.synthetic import demo_recording
 

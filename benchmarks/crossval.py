@@ -68,7 +68,7 @@ def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
 def validate(job: tuple[str, str, list[Path], Setup, str, int]) -> dict:
     """One note by one law from one seed."""
     from pianofit import cross_validate
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     key, note, files, setup, law, seed = job
     enable_program_cache()

@@ -77,7 +77,7 @@ def line(name: str, row: dict) -> str:
 
 def main() -> None:
     """Print the table."""
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
     from pianofit.threads import one_blas_thread
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

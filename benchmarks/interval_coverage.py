@@ -48,7 +48,7 @@ JOBS = 10
 def judge(job: tuple[str, int, float]) -> dict:
     """Make one case, fit it and score it; a case that is refused has the reason."""
     from pianofit.errors import PianofitError
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     kind, seed, noise_db = job
     enable_program_cache()

@@ -102,7 +102,7 @@ def main() -> None:
     """Print the table."""
     from pianofit import Setup, analyse, fit, load_recording, prior_of_key
     from pianofit.analysis import note_to_midi
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", type=Path)

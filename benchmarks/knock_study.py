@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     wanted = [name for name in parser.parse_args().notes.split(",") if name]
     from pianofit.dsp import knock_band
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
     from pianofit.threads import one_blas_thread
 
     enable_program_cache()

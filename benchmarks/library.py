@@ -67,7 +67,7 @@ def stages(note: str, files: list[str], out: str) -> list[tuple[str, float]]:
     import pianofit.inference
     import pianofit.modal_response
     import pianofit.result
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     enable_program_cache()
     result = pianofit.fit(*files, note=note, progress=begin)

@@ -34,7 +34,7 @@ import numpy as np
 from pianofit import LeftOutRecording, analyse, cross_validate, fit, load_recording
 from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
-from pianofit.model.program_cache import enable_program_cache
+from pianofit.program_folder import enable_program_cache
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.fit import Fit
 from pianofit.setup import RecordingInfo, Setup

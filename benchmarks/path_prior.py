@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 from pianofit import analyse, load_recording
 from pianofit.inference import FitProblem, build_problem, map_estimate
 from pianofit.inference.likelihood import objective
-from pianofit.model.program_cache import enable_program_cache
+from pianofit.program_folder import enable_program_cache
 from pianofit.x64 import x64_scope
 
 # Least number of partials of an output path to estimate τ.

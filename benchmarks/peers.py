@@ -292,7 +292,7 @@ def main() -> None:
         return
     import works  # noqa: F401 - float64 in this process, before JAX is loaded
 
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     enable_program_cache()
     found = {} if options.speed else {"distances": distances(options.notes.split(","))}

@@ -20,7 +20,7 @@ import numpy as np
 
 from pianofit import fit
 from pianofit.conversions import HALF_WIDTH_95
-from pianofit.model.program_cache import enable_program_cache
+from pianofit.program_folder import enable_program_cache
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from pluck_cases import Case, draw

@@ -19,7 +19,7 @@ import numpy as np
 
 from pianofit import Setup, analyse, cross_validate, fit, load_recording
 from pianofit.conversions import HALF_WIDTH_95
-from pianofit.model.program_cache import enable_program_cache
+from pianofit.program_folder import enable_program_cache
 from pianofit.result.comparison import LEVEL_RANGE
 
 QUANTITIES = {"microphone": "pressure", "pickup": "magnetic-pickup"}

@@ -283,7 +283,7 @@ def main() -> None:
     parser.add_argument("--layer", type=int, help="which is left out, from 1, the softest; by default the middle one")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
     from pianofit.threads import one_blas_thread
 
     enable_program_cache()

@@ -25,8 +25,8 @@ from synthetic_piano import piano
 
 from pianofit.analysis.note_names import parse_keys
 from pianofit.instrument import Instrument, load_instrument
-from pianofit.model.program_cache import enable_program_cache
 from pianofit.playback import Song, render_song
+from pianofit.program_folder import enable_program_cache
 
 RATE, BLOCK = 48_000, 128
 LOWEST, HIGHEST = 24, 108  # keys

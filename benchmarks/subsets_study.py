@@ -91,7 +91,7 @@ def study(job: Job) -> dict[str, Any]:
     """Differences of all subsets of one key from all of its layers."""
     from pianofit.analysis import analyse
     from pianofit.inference import run_inference
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
     from pianofit.recording.recording import load_recording
 
     enable_program_cache()

@@ -60,7 +60,7 @@ def main() -> None:
     """Print the table."""
     from pianofit.analysis import note_to_midi
     from pianofit.instrument import build_instrument, find_fits, load_keys
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("fits", type=Path)

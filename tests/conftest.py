@@ -77,7 +77,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_programs() -> None:
     """Keep what JAX compiles, as the command line does: a second run of the tests compiles nothing."""
-    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.program_folder import enable_program_cache
 
     enable_program_cache()
 

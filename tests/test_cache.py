@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit.model.program_cache import MAX_LOADED, cache_folder, persistent_jit
+from pianofit.model.program_cache import MAX_LOADED, persistent_jit
+from pianofit.program_folder import cache_folder
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -139,3 +143,23 @@ def test_inside_another_transformation(folder):
 def test_the_folder_can_be_chosen(monkeypatch):
     monkeypatch.setenv("PIANOFIT_CACHE", "/somewhere")
     assert cache_folder() == Path("/somewhere")
+
+
+@pytest.mark.parametrize("first", ["import jax", "pass"])
+def test_a_folder_is_set_before_and_after_jax_is_imported(tmp_path, first):
+    """In a process without settings of its own, which does not import JAX for it."""
+    script = f"""
+import sys
+{first}
+before = "jax" in sys.modules
+from pianofit.program_folder import enable_program_cache
+enable_program_cache()
+assert before == ("jax" in sys.modules)
+import jax
+from pianofit.model.program_cache import persistent_jit
+persistent_jit(lambda x, cfg: (2 * x,))(jax.numpy.ones(3, float), None)
+"""
+    environment = {name: x for name, x in os.environ.items() if not name.startswith("JAX_")}
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment | {"PIANOFIT_CACHE": str(tmp_path)})
+    assert len([*tmp_path.glob("*.program")]) == 1
+    assert [*tmp_path.glob("jit_*")]

@@ -30,7 +30,7 @@ os.environ["PIANOFIT_CACHE"] = sys.argv[1]
 os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
 import counts
 from float32_caller import state
-from pianofit.model.program_cache import enable_program_cache
+from pianofit.program_folder import enable_program_cache
 enable_program_cache()
 before = state()
 found = counts.counts(0.6)

@@ -24,6 +24,7 @@ USES = {
     "dsp": "",
     "progress": "",
     "threads": "",
+    "program_folder": "",
     "conversions": "",
     "deferred": "",
     "errors": "",
@@ -52,17 +53,19 @@ USES = {
     "report": "analysis dsp excitation felt io modal_response model result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
-    "batch": "analysis fitting instrument io model parameters recording report schema threads",
+    "batch": "analysis fitting instrument io parameters program_folder recording report schema threads",
     "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema",
     "listening": "io recording report schema",
-    "dataset": "analysis batch felt inference instrument io literature model parameters progress schema threads",
+    "dataset": "analysis batch felt inference instrument io literature model parameters program_folder progress schema"
+    " threads",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp felt instrument io model playback report schema threads",
     "mend": "analysis batch dsp instrument io modal_response model recording schema",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io listening literature mend"
-    " model parameters playback progress recording report result schema setup synthetic threads transducer tuner web",
+    " model parameters playback program_folder progress recording report result schema setup synthetic threads"
+    " transducer tuner web",
     "__main__": "cli",
 }
 EVERYWHERE = {"conversions", "errors"}

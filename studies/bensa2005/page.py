@@ -12,8 +12,8 @@ from pianofit.io.files import encode_wav, replace_file, write_error
 from pianofit.io.number_format import format_relative_uncertainty, number
 from pianofit.io.table_output import write_csv
 from pianofit.listening.page import ListeningSound, Question, write_listening
-from pianofit.model.program_cache import enable_program_cache
 from pianofit.parameters import PARAMETERS
+from pianofit.program_folder import enable_program_cache
 from pianofit.report.drawing import page_style, png, svg
 from pianofit.report.html import data_uri, write_page
 from pianofit.report.sound import Clip, make_clips

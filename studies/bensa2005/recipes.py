@@ -27,8 +27,8 @@ from pianofit.criterion import band_values, damping_for
 from pianofit.criterion import measure as energies
 from pianofit.inference import starting_values
 from pianofit.model import simulate
-from pianofit.model.program_cache import enable_program_cache
 from pianofit.parameters import FIT_NAMES
+from pianofit.program_folder import enable_program_cache
 from pianofit.synthetic import demo_recording
 
 from .laboratory import SyntheticMeasurement, measure

@@ -169,7 +169,7 @@ def _fit(
     Raises `AnalysisError` if the pitch is not that of the note.
     """
     from ..fitting import fit
-    from ..model.program_cache import enable_program_cache
+    from ..program_folder import enable_program_cache
 
     setup, outputs = None, {}
     if job.setup:

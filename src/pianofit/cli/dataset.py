@@ -68,9 +68,7 @@ def dataset(
 ) -> None:
     """Write labelled synthetic notes: sounds and one table of parameters."""
     from ..dataset import NoteOptions, write_dataset
-    from ..model.program_cache import enable_program_cache
 
-    enable_program_cache()
     options = NoteOptions(
         keys=None if keys is None else _ends(keys),
         seconds=seconds,

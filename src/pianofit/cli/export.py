@@ -71,11 +71,9 @@ def export(
     from ..export.layers import fill_gaps
     from ..export.modal_json import write_modal_json
     from ..instrument import load_instrument
-    from ..model.program_cache import enable_program_cache
 
     _check_target(to, out, _given(ctx, (*ExportOptions._fields, "fill")), force)
     chosen, loaded = parse_keys(keys), load_instrument(built, prefix, even)
-    enable_program_cache()
     with progress_bar() as bar:
         if to == "faust":
             summary = write_faust(out, loaded, chosen, licence=licence, progress=bar)

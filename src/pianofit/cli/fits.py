@@ -132,13 +132,10 @@ def fit(
     as_json: options.Json = False,
 ) -> None:
     """Estimate string and hammer, or string and pluck, from one or several recordings of a key."""
-    from ..model.program_cache import enable_program_cache
-
     check_velocity(velocity)
     check_seed(seed)
     _check_method(method, evaluations, intervals, len(recordings))
     with output_folder(out, force) as folder, progress_bar() as progress:
-        enable_program_cache()
         given: dict[str, Any] = {
             "setup": setup_of_options(setup, felt, excitation, quantity, pickup),
             "note": note,
@@ -219,7 +216,6 @@ def predict(
     as_json: options.Json = False,
 ) -> None:
     """Predict a recording that took no part in the fit. Only velocity or plucking position, gain and pitch are free."""
-    from ..model.program_cache import enable_program_cache
     from ..result import Result
     from ..result.comparison import estimate_contact_onset
 
@@ -227,7 +223,6 @@ def predict(
         check_sound_target(out, force)
     fitted = Result.load(fit)
     sound = load_recording(recording, channel=channel)
-    enable_program_cache()
     p = fitted.predict(sound)
     if out is not None:
         strike = p.note.strike(sound.rate)
@@ -274,14 +269,12 @@ def cross_validate(
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
     from ..fitting import analyse_all
-    from ..model.program_cache import enable_program_cache
     from ..result.cross_validation import cross_validate as run
 
     check_seed(seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
         loaded = load_recordings(recordings, channel)
         analyses = analyse_all(loaded, note, f0)
-        enable_program_cache()
         given = setup_of_options(setup, felt, excitation, quantity, pickup)
         held_out = run(*loaded, setup=given, seed=seed, progress=progress, analyses=analyses)
         if folder is not None:

@@ -98,13 +98,11 @@ def play(
 ) -> None:
     """Play a MIDI file on a fitted instrument, with all three pedals."""
     from ..instrument import load_instrument
-    from ..model.program_cache import enable_program_cache
     from ..playback import PedalRange, PlayOptions, load_song, render_song
 
     with progress_bar() as bar:
         check_sound_target(out, force, ("wav", "flac"))
         loaded, notes = load_instrument(built, prefix, even), load_song(song)
-        enable_program_cache()
         start = time.perf_counter()
         options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed, gain_db, tempo, touch)
         rendered = render_song(loaded, notes, rate, bar, options)

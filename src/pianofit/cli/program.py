@@ -77,10 +77,8 @@ def demo(
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
         from ..fitting import fit
-        from ..model.program_cache import enable_program_cache
         from ..synthetic import demo_recording, setup_text
 
-        enable_program_cache()
         progress("synthesis", 0.0)
         synthetic = demo_recording(noise, seed)
         replace_file(folder / "synthetic.wav", encode_wav(synthetic.samples, synthetic.rate))

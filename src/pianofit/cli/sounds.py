@@ -62,12 +62,10 @@ def simulate(
         if setup_out.resolve() == out.resolve():
             raise ParameterError(f"--setup-out {printable(setup_out)} is also --out; give another name")
     from ..model.note import check_render
-    from ..model.program_cache import enable_program_cache
     from ..report.summary import contact_text
     from ..synthetic import synthetic_recording
 
     check_render(velocity, seconds, rate)
-    enable_program_cache()
     string, hammer, geometry = _apply_changes(_load_preset(preset, note), change, velocity)
     geometry = _apply_positions(geometry, quantity, strike, pickup)
     sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise_db, "seed": seed}
@@ -146,14 +144,12 @@ def render(
     """Synthesise a fitted note at any velocity or plucking position, with its gain and output path."""
     check_sound_target(out, force)
     from ..model.note import check_render
-    from ..model.program_cache import enable_program_cache
     from ..report.summary import contact_text
     from ..schema.notes import load_note
 
     check_render(velocity, seconds, 44_100 if rate is None else rate)
     note, own_rate = load_note(fit_json)
     rate = own_rate if rate is None else rate
-    enable_program_cache()
     played, stroke = _with_stroke(note, velocity, position)
     strike = played.strike(rate)
     samples, gain = limit_peak(

@@ -19,6 +19,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import PianofitError
 from ..io.files import printable
+from ..program_folder import enable_program_cache
 
 # Base of click's usage errors; typer has a private copy of click.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -46,6 +47,7 @@ class _Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> None:
         """Run the command. Errors and interruptions become one line on stderr and an exit code."""
+        enable_program_cache()
         try:
             super().invoke(ctx)
             sys.stdout.flush()

@@ -29,8 +29,8 @@ from ..batch.fit_job import JobResult
 from ..batch.process_pool import ProcessPool
 from ..errors import FitError, OutputError, ParameterError, PianofitError, check_range, check_type
 from ..io.files import encode_pcm, encode_wav, path_name, printable, replace_file, write_error
-from ..model.program_cache import enable_program_cache
 from ..parameters import check_seed
+from ..program_folder import enable_program_cache
 from ..progress import Progress, progress_bar
 from ..schema.dataset import DATASET_FILE, Column, DatasetFile, NoteOptions, SoundFormat, read_dataset_file
 from ..schema.decode import encode_json

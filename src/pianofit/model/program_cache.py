@@ -10,7 +10,6 @@ import contextlib
 import functools
 import hashlib
 import os
-import sys
 import threading
 from collections.abc import Callable, Hashable
 from pathlib import Path
@@ -32,39 +31,6 @@ COMPILER_OPTIONS = {
     "xla_backend_optimization_level": 1,
     "xla_cpu_parallel_codegen_split_count": 1,
 }
-
-
-def cache_folder() -> Path:
-    """Return the cache folder of this user; PIANOFIT_CACHE overrides it."""
-    if chosen := os.environ.get("PIANOFIT_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return base / "pianofit"
-
-
-def enable_program_cache() -> None:
-    """Set `cache_folder` as the compilation cache of JAX. If it is not writable, JAX compiles in every process.
-
-    A folder that is already set (JAX_COMPILATION_CACHE_DIR) stays.
-    """
-    if jax.config.values["jax_compilation_cache_dir"]:
-        return
-    folder = cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except OSError:
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def persistent_jit(function: Callable, loaded: int = MAX_LOADED) -> Callable:
