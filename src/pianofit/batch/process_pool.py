@@ -24,8 +24,8 @@ from typing import Any
 
 from .fit_job import JobResult, fit_job
 
-# A worker grows with its jobs: to 1.3 GB after 16 keys of five recordings (benchmarks/library.py).
-MAX_JOBS_PER_WORKER = 8  # jobs
+# A worker grows with its jobs: to 0.85 GB after 16 keys of five recordings (benchmarks/library.py).
+MAX_JOBS_PER_WORKER = 16  # jobs
 # Longest time for a new worker to start Python and to import what it needs, s. A job's time limit begins afterwards.
 LONGEST_START = 120.0
 # First message of a worker about each job: it has the job, and its time begins.
@@ -34,6 +34,8 @@ TAKEN = ""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
 )
+# One arena of glibc, read when a process starts. Each thread of XLA would have its own, and keep what it has freed.
+ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
 
 
 @dataclass
@@ -180,10 +182,11 @@ def uninterrupted() -> Iterator[None]:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Give processes started in this context one thread for numerical libraries."""
+    """Give processes started in this context one thread for numerical libraries, and one arena of memory."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
-    before = {name: os.environ.get(name) for name in (*ONE_THREAD, "XLA_FLAGS", "JAX_PLATFORMS")}
-    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    settings = ONE_THREAD | ONE_ARENA | {"XLA_FLAGS": flags}
+    before = {name: os.environ.get(name) for name in (*settings, "JAX_PLATFORMS")}
+    os.environ.update(settings)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     try:
         yield
