@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from instrument_cases import ERRORS, fit_document, rung, true_note, write_fit
@@ -77,7 +79,7 @@ def test_decay_and_brightness_are_predicted_at_1(pianos):
     fields = measure_fields(before)
     for key in before:
         own, curve, level = predict_key(fields, key.midi)
-        found = measure_fields([key._replace(note=pianos[1.0].keys[key.midi].note)]).cells
+        found = measure_fields([replace(key, note=pianos[1.0].keys[key.midi].note)]).cells
         ratio = np.log(early_ratio(curve) / early_ratio(found.curve))
         assert np.average(ratio, weights=own.points.size) == pytest.approx(0.0, abs=0.02)
         assert brightness(found, level)[0] == pytest.approx(0.0, abs=0.05)

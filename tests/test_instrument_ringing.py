@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 
 import mido
 import numpy as np
@@ -17,7 +18,7 @@ from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
-from pianofit.instrument.fields import FieldPoints, FieldShape, field_shape
+from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_keys import guess_response
 from pianofit.instrument.key_quantities import stroke_level
 from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, measure_path, string_partials
@@ -127,14 +128,14 @@ def test_a_guess_between_keys_that_are_alike_is_like_them():
 def test_the_difference_of_two_hammers_is_not_a_level():
     """A hammer of half the weight, with a path that makes up for it, gives the same field."""
     at = 4.0
-    key = alike(50)._replace(velocities=(at,))
+    key = replace(alike(50), velocities=(at,))
     light = key.note._replace(hammer=key.note.hammer._replace(M_H=0.5 * key.note.hammer.M_H))
     own, law = (
         np.abs(x) for x in (drive(light, key.note.modal_response, at), drive(key.note, key.note.modal_response, at))
     )
     response = key.note.modal_response._replace(pattern=key.note.modal_response.pattern * law / own)
     made_up = RecordedKey(50, light._replace(modal_response=response), key.note, key.law, (at,))
-    unaware = made_up._replace(law_note=made_up.note)
+    unaware = replace(made_up, law_note=made_up.note)
     one, other, wrong = (measure_fields([x]).cells.level for x in (key, made_up, unaware))
     # Below the first zeros of the two forces.
     assert np.abs(other - one)[:2].max() < 0.2
@@ -151,8 +152,8 @@ def drive(note, response, velocity) -> np.ndarray:
 def test_a_guess_without_modes_takes_the_smooth_path_of_the_recorded_keys():
     frequency = 40.0 * 2.0 ** np.arange(0, 8, 0.1)
     path = OutputPath(frequency, 5 * np.sin(np.log2(frequency)))
-    keys = [alike(midi)._replace(note=true_note(midi)._replace(path=path, gain=2.0)) for midi in (30, 40, 50, 60)]
-    found = measure_path([key._replace(law_note=key.note) for key in keys]).at(45)
+    keys = [replace(alike(midi), note=true_note(midi)._replace(path=path, gain=2.0)) for midi in (30, 40, 50, 60)]
+    found = measure_path([replace(key, law_note=key.note) for key in keys]).at(45)
     inside = (found.frequency > 200) & (found.frequency < 4000)
     assert found.db[inside] == pytest.approx(path.at(found.frequency[inside]) + 20 * np.log10(2.0), abs=0.7)
 
@@ -173,9 +174,9 @@ def test_a_field_passes_through_exact_points_and_returns_to_its_mean_far_away():
     points = FieldPoints(octave, key, np.ones(21))
     shape = FieldShape(3.0, 0.7, 2.0, 20.0, 2.0, 0.4, 6.0, 1e-4)
     values = random.normal(size=21)
-    assert shape.weights(points, points) @ values == pytest.approx(values, abs=1e-3)
+    assert Field(points, shape).weights(points) @ values == pytest.approx(values, abs=1e-3)
     far = FieldPoints(np.array([40.0]), np.array([900.0]), np.ones(1))
-    assert shape.weights(points, far) @ values == pytest.approx(0.0, abs=1e-9)
+    assert Field(points, shape).weights(far) @ values == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_spreads_of_a_field_are_found():

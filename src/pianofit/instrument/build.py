@@ -23,6 +23,7 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.extras import KeyExtras
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
+from ..threads import one_blas_thread
 from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
 from .dampers import damper_law
@@ -54,6 +55,7 @@ VELOCITY_PRIOR_SD = (0.7, 0.5)
 LAYER_SD, LEAST_RISE = 0.4, 0.3
 
 
+@one_blas_thread()
 def build_instrument(
     keys: Sequence[KeyFit], name: str = "", even: float = 0.0, extras: Sequence[KeyExtras] = ()
 ) -> Instrument:

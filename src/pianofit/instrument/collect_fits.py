@@ -31,6 +31,7 @@ from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
 from ..schema.fit import Fit, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
+from ..threads import one_blas_thread
 from .key_measurements import fitted_values, measurements_of, needed
 from .key_quantities import LOUDEST_VELOCITY, soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
@@ -154,6 +155,7 @@ def _names_of(file: Path) -> tuple[str, int | None]:
     return (match[1], note_to_midi(match[2])) if match else ("", None)
 
 
+@one_blas_thread()
 def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     """Read the fit of one key from every file.
 

@@ -25,6 +25,7 @@ from ..conversions import LOWEST_KEY
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw
+from .fields import Field
 from .guessed_knocks import static_part
 from .key_quantities import stroke_level
 from .measured_fields import (
@@ -81,10 +82,10 @@ def predict_key(fields: KeyFields, midi: int) -> tuple[Cells, np.ndarray, np.nda
 
     A key that has no near neighbours would predict its own decay.
     """
-    is_own, points = fields.cells.points.key == midi, fields.cells.points
+    is_own = fields.cells.points.key == midi
     own, others = _select(fields.cells, is_own), fields._replace(cells=_select(fields.cells, ~is_own))
-    curve = others.predict(fields.curve_shape.weights(others.cells.points, own.points), others.cells.curve)
-    level = fields.predict(fields.level_shape.weights(points, own.points), fields.cells.level)
+    curve = others.predict(Field(others.cells.points, fields.curve.shape).weights(own.points), others.cells.curve)
+    level = fields.predict(fields.level.weights(own.points), fields.cells.level)
     return own, curve, level
 
 

@@ -13,9 +13,12 @@ channels, decay curves and phases. Far from all measured points a prediction ret
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, get_lapack_funcs
 from scipy.optimize import minimize
 
 # Priors of the spreads, lengths over frequency and length over keys: medians and standard deviation of the logarithm.
@@ -62,11 +65,24 @@ class FieldShape(NamedTuple):
         near = np.exp(-0.5 * (octaves / self.drift_octaves) ** 2 - 0.5 * (keys / self.drift_keys) ** 2)
         return common + trend + self.drift_sd**2 * near
 
-    def weights(self, points: FieldPoints, at: FieldPoints) -> np.ndarray:
+
+@dataclass(frozen=True)
+class Field:
+    """A field and the points at which it was measured."""
+
+    points: FieldPoints
+    shape: FieldShape
+
+    @cached_property
+    def _factor(self) -> Any:
+        """Cholesky factor of the covariance of the measured values: one serves all keys that are predicted."""
+        total = self.shape.covariance(self.points, self.points)
+        total[np.diag_indices(len(total))] += self.shape.residual**2 / self.points.size + JITTER * total[0, 0]
+        return cho_factor(total)
+
+    def weights(self, at: FieldPoints) -> np.ndarray:
         """Weights of the measured values, after their mean was subtracted, in the prediction [at, points]."""
-        total = self.covariance(points, points)
-        total[np.diag_indices(len(total))] += self.residual**2 / points.size + JITTER * total[0, 0]
-        return np.linalg.solve(total, self.covariance(at, points).T).T
+        return cho_solve(self._factor, self.shape.covariance(at, self.points).T).T
 
 
 def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
@@ -79,6 +95,7 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
     octaves = (points.octave[:, None] - points.octave) ** 2
     keys = (points.key[:, None] - points.key) ** 2
     centre = np.log(list(MEDIANS.values()))
+    potri: Any = get_lapack_funcs("potri", (octaves,))
 
     def cost(log_shape: np.ndarray) -> tuple[float, np.ndarray]:
         shape = FieldShape(*np.exp(log_shape))
@@ -87,24 +104,26 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
         drift = shape.drift_sd**2 * np.exp(-0.5 * octaves / shape.drift_octaves**2 - 0.5 * keys / shape.drift_keys**2)
         total = common + trend + drift
         total[np.diag_indices(len(total))] += shape.residual**2 / points.size + JITTER
-        lower = np.linalg.cholesky(total)
-        root = np.linalg.inv(lower)
-        solved = root.T @ (root @ y)
-        block = np.outer(solved, solved) - root.T @ root
+        factor = np.linalg.cholesky(total)
+        inverse, _ = potri(factor.T)  # the upper triangle; the other has zeros
+        inverse += np.triu(inverse, 1).T
+        solved = inverse @ y
+        block = np.outer(solved, solved) - inverse
+        by_common, by_trend, by_drift = block * common, block * trend, block * drift
         gradient = np.array(
             [
-                np.sum(block * common),
-                0.5 * np.sum(block * common * octaves) / shape.common_octaves**2,
-                np.sum(block * trend),
-                0.5 * np.sum(block * trend * keys) / shape.trend_keys**2,
-                np.sum(block * drift),
-                0.5 * np.sum(block * drift * octaves) / shape.drift_octaves**2,
-                0.5 * np.sum(block * drift * keys) / shape.drift_keys**2,
+                by_common.sum(),
+                0.5 * np.vdot(by_common, octaves) / shape.common_octaves**2,
+                by_trend.sum(),
+                0.5 * np.vdot(by_trend, keys) / shape.trend_keys**2,
+                by_drift.sum(),
+                0.5 * np.vdot(by_drift, octaves) / shape.drift_octaves**2,
+                0.5 * np.vdot(by_drift, keys) / shape.drift_keys**2,
                 np.sum(np.diag(block) * shape.residual**2 / points.size),
             ]
         )
         away = (log_shape - centre) / FACTOR
-        density = -0.5 * y @ solved - np.log(np.diag(lower)).sum() - 0.5 * away @ away
+        density = -0.5 * y @ solved - np.log(np.diag(factor)).sum() - 0.5 * away @ away
         return -float(density), away / FACTOR - gradient
 
     bounds = [(c - 4 * FACTOR, c + 4 * FACTOR) for c in centre]

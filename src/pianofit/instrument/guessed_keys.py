@@ -100,8 +100,8 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     string = _audible_partials(note, midi, law, fields)
     rate = law.decay(np.arange(1, len(string.frequency) + 1))
     at, cells = _points(np.log2(string.frequency), midi), fields.cells
-    weights = fields.level_shape.weights(cells.points, at)
-    curves = fields.predict(fields.curve_shape.weights(cells.points, at), cells.curve)
+    weights = fields.level.weights(at)
+    curves = fields.predict(fields.curve.weights(at), cells.curve)
     share = np.stack([_exponentials(curve) for curve in curves])
     energy = np.einsum("ki,kij,kj->k", share, level_energy(rate[:, None, None] * (RATIOS[:, None] + RATIOS)), share)
     size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import ShortTimeFFT
 
 from ..model.modal_response import PRE_ONSET_S, ModalResponse, cancel_static_deflection
-from .fields import FieldPoints, FieldShape, field_shape
+from .fields import Field, FieldPoints, FieldShape, field_shape
 
 # Duration of a knock after the contact, s, as that of a recorded one.
 KNOCK_S = 0.4
@@ -49,7 +49,7 @@ class KnockFields(NamedTuple):
     def weights(self, midi: int) -> np.ndarray:
         """Weights of the recorded keys, after their mean was subtracted, in the energies of a key [keys]."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
-        return self.shape.weights(points, FieldPoints(np.zeros(1), np.array([float(midi)]), np.ones(1)))[0]
+        return Field(points, self.shape).weights(FieldPoints(np.zeros(1), np.array([float(midi)]), np.ones(1)))[0]
 
 
 def static_part(response: ModalResponse) -> np.ndarray:

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,7 @@ from ..model.modal_response import ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
 from ..model.output_path import OutputPath
-from .fields import FieldPoints, FieldShape, field_shape
+from .fields import Field, FieldPoints, field_shape
 from .guessed_knocks import KnockFields, measure_knocks
 from .key_quantities import is_force
 
@@ -57,6 +59,10 @@ CONTACT_RATE = 44_100
 NOTHING = 1e-300
 
 
+# Magnitude of the spectrum of a force, N s, at frequencies, Hz.
+Spectrum = Callable[[np.ndarray], np.ndarray]
+
+
 class StringLaw(NamedTuple):
     """Values of the keyboard laws for the string of one key."""
 
@@ -69,7 +75,8 @@ class StringLaw(NamedTuple):
         return self.b1 + self.d2 * number**2
 
 
-class RecordedKey(NamedTuple):
+@dataclass(frozen=True)
+class RecordedKey:
     """A recorded key, and what the laws say of it."""
 
     midi: int
@@ -83,16 +90,15 @@ class RecordedKey(NamedTuple):
         """The `VELOCITIES` within those of the recordings, m/s: beyond them the key says nothing."""
         return np.clip(VELOCITIES, min(self.velocities), max(self.velocities))
 
+    @cached_property
+    def _spectra(self) -> list[list[Spectrum]]:
+        """Spectra of the force of the own hammer and of that of the laws, each at the `compared_velocities`."""
+        return [[spectrum(note, v) for v in self.compared_velocities] for note in (self.note, self.law_note)]
+
     def drive_differences(self, frequency: np.ndarray) -> np.ndarray:
         """Level of the force of the own hammer over that of the hammer of the laws, dB [velocities, frequencies]."""
-        own, law = (
-            np.array([expected_force(spectrum(note, v), frequency) for v in self.compared_velocities])
-            for note in (self.note, self.law_note)
-        )
+        own, law = (np.array([expected_force(of, frequency) for of in spectra]) for spectra in self._spectra)
         return 20 * np.log10(np.maximum(own, NOTHING) / np.maximum(law, NOTHING))
-
-
-Spectrum = Callable[[np.ndarray], np.ndarray]
 
 
 def spectrum(note: Note, velocity: float) -> Spectrum:
@@ -132,8 +138,8 @@ class KeyFields(NamedTuple):
     keys: np.ndarray  # recorded keys [keys]
     highest: np.ndarray  # frequency of their highest partials, Hz [keys]
     rate: int  # of the responses, Hz
-    level_shape: FieldShape
-    curve_shape: FieldShape
+    level: Field  # of the levels of the cells
+    curve: Field  # of their decay curves
     knocks: KnockFields | None
 
     def predict(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -174,15 +180,14 @@ def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) ->
 class PathField(NamedTuple):
     """Output paths of the recorded keys, with their gains, as a field."""
 
-    points: FieldPoints
+    field: Field
     level: np.ndarray  # dB [points]
-    shape: FieldShape
 
     def at(self, midi: int) -> OutputPath:
         """Return the smooth output path of a key, for a gain of 1."""
         at = FieldPoints(np.log2(THIRDS), np.full(len(THIRDS), float(midi)), np.ones(len(THIRDS)))
-        centre = np.average(self.level, weights=self.points.size)
-        return OutputPath(THIRDS, centre + self.shape.weights(self.points, at) @ (self.level - centre))
+        centre = np.average(self.level, weights=self.field.points.size)
+        return OutputPath(THIRDS, centre + self.field.weights(at) @ (self.level - centre))
 
 
 def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
@@ -202,8 +207,9 @@ def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
         rows.append((mean(octave), np.full(len(size), float(key.midi)), size, mean(path.db[partials] + own)))
     if not rows:
         return None
-    *points, level = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return PathField(FieldPoints(*points), level, field_shape(FieldPoints(*points), level))
+    *columns, level = (np.concatenate(column) for column in zip(*rows, strict=True))
+    points = FieldPoints(*columns)
+    return PathField(Field(points, field_shape(points, level)), level)
 
 
 def _cells(octave: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
@@ -238,8 +244,8 @@ def measure_fields(keys: Sequence[RecordedKey]) -> KeyFields | None:
         numbers,
         np.array([_partials_of(*pair)[1].frequency[-1] for pair in with_response]),
         max(response.rate for response in responses),
-        field_shape(points, cells.level),
-        field_shape(points, np.log(early_ratio(cells.curve))),
+        Field(points, field_shape(points, cells.level)),
+        Field(points, field_shape(points, np.log(early_ratio(cells.curve)))),
         measure_knocks(numbers, responses, np.array(gains), channels),
     )
 

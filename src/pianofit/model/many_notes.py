@@ -19,17 +19,15 @@ from ..errors import FitError, ParameterError
 from ..felt import law_of
 from .free_response import pickup_amplitudes, sounding
 from .note import Note, check_render
-from .program_cache import persistent_jit
+from .program_cache import KEYBOARD_SHAPES, persistent_jit
 from .simulate import MAX_STEPS, Simulation, contact_rate, count_modes
 from .strokes import BATCH, BATCH_SIZE, StrokesConfig, parameter_arrays, simulations, stroke_until_over
 
 # Stored steps of a first try, and their factor for strokes that last longer. Half of all contacts end within 512 steps.
 FIRST_STORED, LONGER = 1024, 4
-# Programs that stay in memory: all shapes of a keyboard. A process that renders many notes needs them again and again.
-SHAPES = 32
 
 
-@partial(persistent_jit, loaded=SHAPES)
+@partial(persistent_jit, loaded=KEYBOARD_SHAPES)
 def _sounding_strokes(strings, hammers, geometries, rates, cfg: StrokesConfig):
     """Tables, pulses, computed steps, and both `pickup_amplitudes`, of strokes with their own `rates`, Hz."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from .excite import excite
 from .free_motion import FreeMotion, free_motion
 from .free_response import waveform
 from .modes import MAX_RELATIVE_FREQUENCY, Modes, mode_frequencies, mode_table, raised_cosine_weights
-from .program_cache import persistent_jit
+from .program_cache import KEYBOARD_SHAPES, persistent_jit
 
 # The error is of second order in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
 MIN_CONTACT_RATE = 88_000.0
@@ -139,7 +140,7 @@ class _StrikeConfig(NamedTuple):
     law: Excitation
 
 
-@persistent_jit
+@partial(persistent_jit, loaded=KEYBOARD_SHAPES)
 def _strike(string, hammer, geometry, rate, weights, start, cfg: _StrikeConfig):
     """The table, the pulse, and the free motion before it, as one tuple of arrays."""
     table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity, "kind": cfg.kind}

@@ -129,7 +129,7 @@ def pack(samples: np.ndarray, step: float) -> dict[str, Any]:
         if width
     ]
     stream = np.packbits(np.concatenate([np.zeros(0, int), *packed]).astype(bool))
-    return {"step": step, "blocks": _base64((halvings * 16 + bits).astype(np.uint8)), "packed": _base64(stream)}
+    return {"step": step, "blocks": encode_array(halvings * 16 + bits, "<u1"), "packed": encode_array(stream, "<u1")}
 
 
 def _characters(sound: np.ndarray, step: float) -> int:
@@ -167,8 +167,10 @@ def _whole(samples: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np
     return halvings, whole, bits
 
 
-def _base64(values: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+def encode_array(values: np.ndarray, kind: str) -> str:
+    """Encode an array in base64, as numbers of a NumPy type such as "<f4"; integers are rounded."""
+    values = np.round(values) if kind[1] in "iu" else values
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
 
 
 def _base64_size(count: int) -> int:

@@ -5,7 +5,6 @@ Knocks take most of the size. They share the room that is left, see `knock_encod
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -35,6 +34,7 @@ from .knock_encoding import (
     EncodedSound,
     KnockEncoding,
     choose_encodings,
+    encode_array,
     encoded_knock,
     pack,
     reduce_rate,
@@ -218,7 +218,7 @@ def encode_note(
         entry["modal_response"] = _modal_response(note.modal_response.scale_gain(float(note.gain)), knock)
     elif note.path is not None:
         f = note.path.frequency
-        entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db)}
+        entry["path"] = {"frequency": encode_array(f, "<f4"), "db": encode_array(note.path.db, "<f4")}
     return entry
 
 
@@ -232,9 +232,9 @@ def _damper(midi: int, dampers: Dampers) -> dict[str, float] | None:
 def _modal_response(response: ModalResponse, knock: KnockEncoding | None) -> dict[str, Any]:
     """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
     return {
-        "partial": _base64(response.partial, "<u1" if response.partial.max(initial=0) < 256 else "<u2"),
-        "decay": _base64(-np.real(response.pole)),
-        "omega": _base64(np.imag(response.pole), "<f8"),
+        "partial": encode_array(response.partial, "<u1" if response.partial.max(initial=0) < 256 else "<u2"),
+        "decay": encode_array(-np.real(response.pole), "<f4"),
+        "omega": encode_array(np.imag(response.pole), "<f8"),
         "modal_amplitudes": _rows(response.pattern[:CHANNELS]),
         "velocity_gain": _velocity_gain(response),
         **_encode_sound(response.knock[:CHANNELS], response.rate, knock),
@@ -251,9 +251,4 @@ def _velocity_gain(response: ModalResponse) -> dict[str, Any] | None:
 
 
 def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
-    return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
-
-
-def _base64(values: np.ndarray, kind: str = "<f4") -> str:
-    values = np.round(values) if kind[1] in "iu" else values
-    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
+    return [{"re": encode_array(np.real(row), kind), "im": encode_array(np.imag(row), kind)} for row in values]
