@@ -7,9 +7,9 @@
 Without an instrument it is that of `synthetic_piano.py`, whose 88 keys have some hundred modes and a knock in stereo.
 The piece is drawn by --seed: notes over seven octaves at all velocities, held for 0.1 to 2 s, with a pedal that is
 raised half of the time, so that strings are struck again while they sound. Its events lie on the blocks of 128 samples
-at whose begins the page's take effect. Printed are the song's length over the processor's time, and with --page the
-largest difference of any sample before the limiter, over the largest sample, with knocks as they are (16 bits) and as
-the page of this instrument holds them.
+at whose begins the page's take effect. Its first note begins at 0, where both engines begin their steps of resonance.
+Printed are the song's length over the processor's time, and with --page the largest difference of any sample before
+the limiter, over the largest sample, with knocks as they are (16 bits) and as the page of this instrument holds them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def drawn(seconds: float, rate: float, keys: list[int], seed: int, controllers: 
         return round(t * RATE / BLOCK) * BLOCK / RATE
 
     notes: dict[int, list[tuple[float, float, int]]] = {}
-    for t in np.sort(random.uniform(0, seconds - LONGEST, round(seconds * rate))):
+    times = np.sort(random.uniform(0, seconds - LONGEST, round(seconds * rate)))
+    for t in times - times[0]:
         key, velocity = int(random.choice(keys)), int(random.integers(SOFTEST, LOUDEST))
         begin, end = on_block(t), on_block(t + random.uniform(SHORTEST, LONGEST))
         before = notes.setdefault(key, [])

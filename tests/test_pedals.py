@@ -50,6 +50,32 @@ def test_held_keys_sing_along():
     assert np.argmax(spectrum) == pytest.approx(second, abs=2)
 
 
+def test_strings_without_a_damper_are_in_the_recordings():
+    """A stroke on a measured key adds nothing to them. Struck themselves, they excite strings that a pedal frees."""
+    undamped = 96
+    piano = piano_of({key: rung(key)._replace(gain=1e-3) for key in (48, 60, undamped)})
+
+    def added(key: int, pedal: int) -> float:
+        """Largest sample of what resonance adds, over that of the stroke."""
+        song = Song({key: [(0.0, 100), (0.8, 0)]}, [(0.0, pedal)], 1.0, 1)
+        dry, whole = (render_song(piano, song, RATE, options=o).samples for o in (DRY, PlayOptions()))
+        return np.abs(whole[:, :RATE] - dry[:, :RATE]).max() / np.abs(dry).max()
+
+    assert added(48, 0) == added(undamped, 0) == 0
+    assert added(48, 127) > 1e-3
+    assert added(undamped, 127) > 1e-5
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_what_no_recording_contains_is_added(model):
+    """In an instrument of the string model alone, strings without a damper sing along."""
+    notes = {key: rung(key) for key in (48, 96)}
+    piano = piano_of({key: note._replace(modal_response=None) if model else note for key, note in notes.items()})
+    song = Song({48: [(0.0, 100), (0.8, 0)]}, (), 1.0, 1)
+    dry, whole = (render_song(piano, song, RATE, options=o).samples for o in (DRY, PlayOptions()))
+    assert bool(np.abs(whole - dry).max()) == model
+
+
 def test_the_pedal_frees_all_strings():
     pedal = [(0.0, 127), (2.5, 0)]
     dry, whole = sound(DRY, pedal=pedal), sound(PlayOptions(), pedal=pedal)

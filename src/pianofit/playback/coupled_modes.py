@@ -42,10 +42,20 @@ class CoupledModes:
         their poles are those that they have together on the bridge [modes].
     common : share of the motion of the bridge at one string that other strings share, 0 to 1. It is 1 for strings at
         one point.
+    receives : 0 for a mode to which other strings add nothing, else 1 [modes], or one value for all. The modes that
+        receive lose no less energy without the others, so energy does not rise then either.
     """
 
-    def __init__(self, pole: np.ndarray, drive: np.ndarray, string: np.ndarray, common: float = 1.0) -> None:
+    def __init__(
+        self,
+        pole: np.ndarray,
+        drive: np.ndarray,
+        string: np.ndarray,
+        common: float = 1.0,
+        receives: np.ndarray | float = 1.0,
+    ) -> None:
         self.pole, self.drive, self.common = pole, drive, common
+        self.received = common * np.asarray(receives)  # share of the bridge's motion that acts on each mode
         omega = np.imag(pole)
         self._omega = omega / TAPER
         self._above, self._below, self._twice = 1 + self._omega, 1 - self._omega, 2 * self._omega
@@ -68,7 +78,7 @@ class CoupledModes:
         total = sums.take(right) * self._above - sums.take(left) * self._below - self._twice * sums[1:]
         total += 2 * moments[1:] - moments.take(left) - moments.take(right)
         total -= (self._own @ driven.view(float).reshape(-1, 2)).view(complex)[:, 0]
-        return self.common * drive * total
+        return self.received * drive * total
 
     def step(
         self, alone: np.ndarray, added: np.ndarray, half: np.ndarray, lift: np.ndarray, seconds: float
@@ -123,7 +133,7 @@ class CoupledModes:
             imag -= numerator[:, rows] @ (im * size)
         total = pole * (real[0] + 1j * imag[0]) + real[1] + 1j * imag[1]
         total[source] = 0.0
-        return -self.common * self.drive * total
+        return -self.received * self.drive * total
 
 
 def bridge_drive(rate: np.ndarray, decay: np.ndarray, share: np.ndarray, partial: np.ndarray) -> np.ndarray:

@@ -4,6 +4,10 @@ The amplitude a of a mode is normalised to energy: for a displacement q it is �
 key. An impulse of the hammer's force on one string, 1 N s, excites a = √(2n/M_S) Φ_k/j, with the strike weight Φ_k. A
 partial with a measured modal response has several modes, which a stroke excites alike. Their amplitudes in the sound
 are their shares in the partial, and the bridge excites them in the same shares.
+
+Strings without a damper were free when the keys were recorded. So their response to a stroke is in the measured modes
+and in the knock of the struck key. In an instrument with measured keys nothing is added to them: it would sound twice.
+They do excite other strings.
 """
 
 from __future__ import annotations
@@ -67,7 +71,10 @@ class FreeStrings:
         own = np.concatenate([string.chosen for string in strings])[order]
         self.modes = {midi: np.flatnonzero(self.key_index == i) for i, midi in enumerate(self.keys)}
         self.chosen = {midi: own[modes] for midi, modes in self.modes.items()}
-        self.coupled = CoupledModes(self.pole, self.drive, self.key_index, common)
+        has_damper = np.bincount(self.key_index, self.damping, len(strings))[self.key_index] > 0
+        is_measured = any(key.note.modal_response is not None for key in instrument.keys.values())
+        receives = (has_damper | (not is_measured)).astype(float)
+        self.coupled = CoupledModes(self.pole, self.drive, self.key_index, common, receives)
         self._responses: dict[int, np.ndarray] = {}
 
     def amplitudes(self, midi: int, state: np.ndarray) -> np.ndarray:
@@ -98,7 +105,7 @@ class FreeStrings:
         in all channels.
         """
         transform = _knock_transform(response, self.pole)
-        radiated = -2 * self.coupled.common * self.drive**2 * (np.conj(self.sound) * transform).sum(axis=0)
+        radiated = -2 * self.coupled.received * self.drive**2 * (np.conj(self.sound) * transform).sum(axis=0)
         power = (np.abs(self.sound) ** 2).sum(axis=0)
         return radiated / np.maximum(power, 1e-300)
 

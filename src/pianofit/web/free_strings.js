@@ -109,6 +109,9 @@ export class FreeStrings {
     const kept = keptModes(strings, most), column = (of) => Float64Array.from(kept, of), index = new Map();
     const pair = (of) => ({ re: column(({ i, k }) => of(strings[i]).re[k]), im: column(({ i, k }) => of(strings[i]).im[k]) });
     const channels = Math.max(...strings.map((s) => s.sound.length));
+    // In a measured instrument the response of strings without a damper is in the recordings of all keys.
+    const isMeasured = [...keys.values()].some((key) => key.modal_response);
+    const received = strings.map((s) => (!isMeasured || s.damping.some((x) => x > 0) ? COMMON : 0));
     kept.forEach(({ i, k }, at) => {
       if (!index.has(midis[i])) index.set(midis[i], { modes: [], chosen: [] });
       index.get(midis[i]).modes.push(at);
@@ -123,6 +126,7 @@ export class FreeStrings {
       drive: column(({ i, k }) => strings[i].drive[k]), perState: pair((s) => s.perState),
       sound: Array.from({ length: channels }, (_, c) => pair((s) => s.sound[Math.min(c, s.sound.length - 1)])),
       damping: column(({ i, k }) => strings[i].damping[k]), key: Int32Array.from(kept, ({ i }) => i),
+      received: column(({ i }) => received[i]), // share of the bridge's motion that acts on each mode
       ofKey: new Map([...index].map(([midi, { modes, chosen }]) =>
         [midi, { modes: Int32Array.from(modes), chosen: Int32Array.from(chosen) }])),
     };
@@ -136,7 +140,7 @@ export class FreeStrings {
     const { knock } = this.keys.get(midi).modal_response ?? {};
     if (knock?.[0]?.length) this._addKnock(out, midi);
     for (const k of own) out.re[k] = out.im[k] = 0;
-    const scaled = (column) => Float32Array.from(column, (x) => COMMON * x);
+    const scaled = (column) => Float32Array.from(column, (x, k) => this.data.received[k] * x);
     return { re: scaled(out.re), im: scaled(out.im) };
   }
 

@@ -5,7 +5,7 @@
 // in the frame that turns with its mode, so nothing clicks.
 
 import { BLOCK, STRIDE, addDamped, expPole } from "./contact.js";
-import { COMMON, TAPER, zeros } from "./free_strings.js";
+import { TAPER, zeros } from "./free_strings.js";
 import { lowpass } from "./signal.js";
 
 export const HOP_BLOCKS = 4;
@@ -152,7 +152,7 @@ export class Resonance {
 
   /** v_i Σ_j v_j τ_ij a_j over modes j of other strings, by running sums over the modes in order of frequency. */
   _exchange({ re, im }, out) {
-    const { sums, omega, count, coupling } = this, { left, right, own } = this.strings, { start, column, weight } = own;
+    const { sums, omega, count, coupling } = this, { left, right, own, received } = this.strings, { start, column, weight } = own;
     const { re: drivenRe, im: drivenIm } = this.driven, { re: outRe, im: outIm } = out;
     for (let k = 0, at = 4; k < count; k++, at += 4) {
       const v = coupling[k], w = omega[k], x = v * re[k], y = v * im[k];
@@ -164,7 +164,7 @@ export class Resonance {
       sums[at + 3] = sums[at - 1] + w * y;
     }
     for (let k = 0; k < count; k++) {
-      const v = coupling[k];
+      const v = received[k] * coupling[k];
       if (v === 0) {
         outRe[k] = outIm[k] = 0;
         continue;
@@ -178,8 +178,8 @@ export class Resonance {
         x -= weight[j] * drivenRe[column[j]];
         y -= weight[j] * drivenIm[column[j]];
       }
-      outRe[k] = COMMON * v * x;
-      outIm[k] = COMMON * v * y;
+      outRe[k] = v * x;
+      outIm[k] = v * y;
     }
   }
 
