@@ -5,8 +5,8 @@
 
 The sounds are made by the program from what the literature has at each key. `pianofit batch` fits them with pages and
 index, in a process of its own. It starts with an empty cache of programs, unless a folder of one is given. CPU seconds
-hardly depend on other load of the machine. The last lines say where the CPU time of one key goes: the middle key of the
-library is fitted once more, by one process with one thread.
+hardly depend on other load of the machine. `pianofit instrument` combines the fits, with its page. The last lines say
+where the CPU time of one key goes: the middle key of the library is fitted once more, by one process with one thread.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import made
-from measuring import COMMAND, machine
+from measuring import COMMAND, command, machine
 
 LOWEST, HIGHEST = 21, 108  # MIDI numbers of a piano
 PATTERN = "{note}-{layer}"
@@ -98,6 +98,7 @@ def measured(keys: int, layers: int, workers: int, cache: Path | None) -> dict[s
         library = make_library(sounds, keys, layers)
         cache = cache or folder / "cache"
         result = run_batch(sounds, folder / "out", cache, workers)
+        result["instrument"] = command(["instrument", str(folder / "out"), "--out", str(folder / "built")], cache)
         middle = [*library][len(library) // 2]
         result["stages"] = {middle: stages_of_one(middle, library[middle], folder / "one", cache)}
     return result | {"machine": machine(), "keys": keys, "layers": layers, "workers": workers}
@@ -105,12 +106,13 @@ def measured(keys: int, layers: int, workers: int, cache: Path | None) -> dict[s
 
 def printed(result: dict[str, Any]) -> str:
     """The figures for a terminal."""
-    m, keys = result["machine"], result["keys"]
+    m, keys, built = result["machine"], result["keys"], result["instrument"]
     lines = [
         f"{m['processor']}, {m['cores']} cores, load {m['load']} at the end",
         f"{keys} keys of {result['layers']} layers, {result['workers']} workers: {result['counts']}",
         f"{result['wall_s']:.1f} s, {result['cpu_s']:.1f} CPU seconds, {result['cpu_s'] / keys:.2f} a key",
         f"largest memory of a worker {result['largest_memory'] / 1e6:.0f} MB",
+        f"pianofit instrument: {built['seconds']:.1f} s, {built['memory_MB']:.0f} MB",
     ]
     for note, own in result["stages"].items():
         lines.append(f"CPU seconds of {note} alone, {sum(seconds for _, seconds in own):.2f}:")
