@@ -13,6 +13,7 @@ definition in `inference/` or `analysis/`.
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 import os
 import statistics
@@ -189,9 +190,10 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
 
 
 def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
-    """Return the panel with one constant times a factor; unchanged if the factor is 1."""
+    """Return the panel with one constant times a factor; unchanged if the factor is 1, and NaN if a fit is refused."""
     import coverage_twins  # noqa: F401 - it must read the unchanged priors
 
+    from pianofit import FitError
     from pianofit.program_folder import enable_program_cache
 
     enable_program_cache()
@@ -203,6 +205,8 @@ def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
     setattr(module, attribute, scaled(value, factor))
     try:
         return panel()
+    except FitError:
+        return float("nan"), float("nan")
     finally:
         setattr(module, attribute, value)
 
@@ -232,7 +236,7 @@ def main() -> None:
 
 def cell(panel: tuple[float, float]) -> str:
     """Format the two numbers of a panel."""
-    return f"{panel[0]:.2f}; {panel[1]:.2f}"
+    return "a fit is refused" if math.isnan(panel[1]) else f"{panel[0]:.2f}; {panel[1]:.2f}"
 
 
 def fill(page: Path, usual: str, name: str, row: tuple[str, str]) -> None:
