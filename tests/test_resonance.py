@@ -113,7 +113,7 @@ def test_two_equal_strings_are_weinreichs():
 
 @given(st.integers(0, 10_000), st.integers(2, 40), st.floats(0.1, 40.0))
 def test_energy_never_rises(seed, count, bridge):
-    """Any strings, losses, unisons with several modes, half-lifted dampers, and any state."""
+    """Any strings, losses, unisons with several modes, half-lifted dampers, strings that receive nothing, any state."""
     random = np.random.default_rng(seed)
     decay, omega = random.exponential(3.0, count) + 0.01, 2 * np.pi * np.sort(random.uniform(20, 120, count))
     partial, share = random.integers(0, count, count), random.uniform(0.01, 1.0, count)
@@ -121,15 +121,17 @@ def test_energy_never_rises(seed, count, bridge):
     share /= np.bincount(index, share)[index]
     size = bridge_drive(bridge * random.uniform(0.1, 1.0, count)[index], decay, share, partial)
     drive = size * random.choice([-1.0, 1.0], len(index))[index]
-    coupled = CoupledModes(-decay + 1j * omega, drive, partial)
+    receives = random.choice([0.0, 1.0, 1.0], count)[index]
+    coupled = CoupledModes(-decay + 1j * omega, drive, partial, receives=receives)
     lift = random.choice([0.0, 0.3, 1.0], count)[index]
     half = np.exp(0.5 * HOP * coupled.pole)
-    added = random.normal(size=count) + 1j * random.normal(size=count)
+    added = receives * (random.normal(size=count) + 1j * random.normal(size=count))
     alone, energy = np.zeros(count, complex), np.sum(np.abs(added) ** 2)
     for _ in range(50):
         alone, added = coupled.step(alone, added, half, lift, HOP)
         now = np.sum(np.abs(added) ** 2)
         assert now <= energy * (1 + 1e-12)
+        assert not added[receives == 0].any()
         energy = now
 
 

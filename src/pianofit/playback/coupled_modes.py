@@ -42,8 +42,8 @@ class CoupledModes:
         their poles are those that they have together on the bridge [modes].
     common : share of the motion of the bridge at one string that other strings share, 0 to 1. It is 1 for strings at
         one point.
-    receives : 0 for a mode to which other strings add nothing, else 1 [modes], or one value for all. The modes that
-        receive lose no less energy without the others, so energy does not rise then either.
+    receives : 0 for a mode to which other strings add nothing, else 1 [modes], or one value for all. Such a mode decays
+        at its pole and drives the others. The energy that these have among themselves never rises.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class CoupledModes:
         common: float = 1.0,
         receives: np.ndarray | float = 1.0,
     ) -> None:
-        self.pole, self.drive, self.common = pole, drive, common
+        self.pole, self.drive = pole, drive
         self.received = common * np.asarray(receives)  # share of the bridge's motion that acts on each mode
         omega = np.imag(pole)
         self._omega = omega / TAPER
