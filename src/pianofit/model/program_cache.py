@@ -24,8 +24,8 @@ from ..x64 import x64_scope
 # Number of shapes per function whose programs stay in memory: those of one fit. A program takes some hundred memory
 # mappings, and Linux allows 65,530 per process: without this limit a process would fail after some twenty notes.
 MAX_LOADED = 4
-# The same for functions of any key: all shapes of a keyboard, some 15, which an instrument or a data set needs again and
-# again. Fewer cost time, and more cost memory (benchmarks/library.py measures both).
+# The same for functions of any key: all shapes of a keyboard, which an instrument or a data set needs again and again.
+# Fewer cost time, more cost memory; benchmarks/library.py measures both.
 KEYBOARD_SHAPES = 32
 # Options of XLA. A program runs once or some hundred times for a few milliseconds, so its compilation counts most. With
 # the older emitters of loops, with basic optimisation and in one part it takes two fifths of the time, at equal speed.
