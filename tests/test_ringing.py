@@ -12,7 +12,7 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
-from pianofit.dsp.bands import hann_band
+from pianofit.dsp.bands import Bands, hann_band
 from pianofit.dsp.common_poles import Signals, poles_by_subspace, refine_poles, standard_errors
 from pianofit.dsp.damped_sums import sum_damped_modes
 from pianofit.io.files import encode_wav
@@ -24,6 +24,7 @@ from pianofit.modal_response import (
     modes_of,
     shared_response,
 )
+from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.model.modal_response import ForcePulse, ModalResponse, VelocityGain, cancel_static_deflection
 from pianofit.recording.recording import Recording, load_recording, recording_from_samples
 
@@ -307,6 +308,41 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
     assert (ratio[:strong] > 1 + 0.5 * (slope[2, 0] / slope[0, 0] - 1)).all()
     assert (ratio[:strong] < slope[2, 0] / slope[0, 0]).all()
     np.testing.assert_allclose(ratio[-len(MODES[5]) :], 1.0, atol=0.01)
+
+
+def test_a_mode_that_is_counted_twice_sounds_once():
+    """Two modes of one pole whose amplitudes cancel to a hundredth, differently in every layer, are one mode."""
+    velocities = (0.6, 1.0, 1.7)
+    layers, modes, _ = found(velocities)
+    forces = [force_at(v) for v in velocities]
+    place = next(i for i, m in enumerate(modes) if m.number == 3)
+    own = modes[place]
+    other = np.abs(own.amplitude) * np.exp(2j * np.pi * np.random.default_rng(3).random(own.amplitude.shape)) * 100
+    doubled = dataclasses.replace(
+        own,
+        pole=np.concatenate([own.pole, own.pole]),
+        pole_error=np.concatenate([own.pole_error, own.pole_error]),
+        amplitude=np.concatenate([own.amplitude + other, -other], axis=-1),
+    )
+    sounds = [
+        estimate_shared_response(layers, m, forces, np.full(3, 30.0)).response.sound(force_at(1.3), RATE, RATE)
+        for m in (modes, [*modes[:place], doubled, *modes[place + 1 :]])
+    ]
+    np.testing.assert_allclose(sounds[1], sounds[0], atol=1e-6 * np.abs(sounds[0]).max())
+
+
+def test_a_partial_that_returns_after_a_null_is_fitted_to_its_end():
+    """Its prompt sound and its aftersound cancel after 0.3 s. Nothing but noise is left of them for 0.12 s."""
+    time, random, null = np.arange(round(SECONDS * 200)) / 200, np.random.default_rng(0), 0.3
+    noise = 1e-3 * (random.normal(size=(2, len(time))) + 1j * random.normal(size=(2, len(time))))
+    sound = 0.05 * (np.exp(-9 * (time - null)) - np.exp(-(time - null)))
+    z = np.where(np.abs(time - null) < 0.06, 0, sound) + noise[0]
+    bands = Bands(z[None, None], time, np.array([F0]), F0, window=0.03, rate=200.0, noise_width=50.0)
+    valid = select_valid_frames(bands, np.abs(noise[1])[None, None], np.array([SECONDS]))
+    assert valid is not None
+    # The aftersound falls to twice the stated floor.
+    end = null + np.log(0.05 / (2 * valid.noise[0, 0]))
+    np.testing.assert_allclose(valid.start + valid.signals.length[0] / 200, end, atol=0.1)
 
 
 def test_ring_is_a_sum_of_damped_exponentials():

@@ -5,12 +5,17 @@ four modes, which cause beating and an aftersound. The poles belong to the key, 
 layers are fitted together. Each is weighted relative to its own envelope, and evenly in the logarithm of time, so that
 the aftersound has enough weight. The number of modes follows from two misfits of each layer: with its own amplitudes,
 and with the pattern of the other layers.
+
+Modes of almost the same frequency can cancel one another. Their amplitudes are then much larger than their sound, and
+small errors of theirs are large in the sound. So layers are compared by the sound of a partial and not by amplitudes,
+with the same weights over time (`PartialModes.basis`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,8 +23,8 @@ from ..analysis import Analysis, law_frequency
 from ..dsp.bands import Bands
 from ..dsp.common_poles import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
 from ..dsp.damped_sums import powers, sum_damped_modes
-from .aligned_layers import AlignedLayers, partial_band, relative_pitches, track_offsets
-from .valid_frames import RANGE, ValidFrames, select_valid_frames
+from .aligned_layers import SPAN, AlignedLayers, partial_band, relative_pitches, track_offsets
+from .valid_frames import LOG_TIME_START, RANGE, ValidFrames, select_valid_frames
 
 # Numbers of modes that a partial can have.
 ORDERS = (1, 2, 3, 4)
@@ -38,6 +43,11 @@ LARGEST_LAYER_SNR = 30.0
 # Largest deviation of a pole's frequency, as a share of the spacing of partials and of the inverse window length.
 OF_SPACING = 0.4
 OF_BAND = 0.7
+# Times at which the sounds of layers are compared, s after the onset: evenly in log time, as valid frames are weighted.
+# Half and twice as many give the same distances.
+EVEN_TIMES = LOG_TIME_START * np.expm1(np.linspace(0, np.log1p(SPAN / LOG_TIME_START), 64))
+# Smallest singular value of a basis relative to its largest. Below it, modes are equal to rounding.
+LEAST_SINGULAR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -64,6 +74,27 @@ class PartialModes:
     def at_onset(self) -> np.ndarray:
         """Amplitudes extrapolated to the onset [layers, channels, modes]."""
         return self.amplitude * np.exp(-self.pole * self.start)
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """R: the sound of amplitudes a at the onset is R a in orthonormal coordinates [modes, modes].
+
+        The length of R a is the rms of the sound over the envelope of the partial, evenly over the logarithm of time.
+        """
+        shape = np.exp(np.outer(EVEN_TIMES, self.pole)) / np.sqrt(len(EVEN_TIMES))
+        sound = np.abs(self.at_onset @ shape.T)
+        relative = sound / np.maximum(sound.max(axis=(1, 2), keepdims=True), 1e-300)
+        envelope = np.sqrt((relative**2).mean(axis=(0, 1)))
+        floor = 10 ** (-RANGE / 20) * envelope.max()
+        return np.asarray(np.linalg.qr(shape / (envelope + floor)[:, None], mode="r"))
+
+    def coordinates(self, amplitude: np.ndarray) -> np.ndarray:
+        """Coordinates of the sound of amplitudes at the onset [..., modes]."""
+        return amplitude @ self.basis.T
+
+    def amplitudes(self, coordinates: np.ndarray) -> np.ndarray:
+        """Amplitudes at the onset of a sound with these coordinates [..., modes]."""
+        return coordinates @ np.linalg.pinv(self.basis, rcond=LEAST_SINGULAR).T
 
 
 def modes_of(layers: AlignedLayers, analyses: Sequence[Analysis]) -> list[PartialModes]:
@@ -98,7 +129,7 @@ def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float,
 def _strong(fitted: Sequence[PartialModes | None]) -> list[PartialModes]:
     """The partials that exceed `FAINTEST`."""
     partials = [modes for modes in fitted if modes]
-    level = [np.abs(modes.amplitude).sum(-1).max() for modes in partials]
+    level = [np.linalg.norm(m.coordinates(m.at_onset), axis=-1).max() for m in partials]
     return [m for m, x in zip(partials, level, strict=True) if x > max(level) * 10 ** (FAINTEST / 20)]
 
 

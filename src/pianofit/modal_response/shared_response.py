@@ -18,7 +18,7 @@ from ..model.modal_response import (
     cancel_static_deflection,
 )
 from .aligned_layers import AlignedLayers
-from .modes import PartialModes, common_pattern
+from .modes import LEAST_SINGULAR, PartialModes, common_pattern
 from .random_walks import UNINFORMATIVE_ERROR, smooth_random_walk
 
 # Longest knock after the contact, s. A longer one hardly reduces the log-mel distance. The end of the shortest layer
@@ -61,13 +61,15 @@ def estimate_shared_response(
     layers: AlignedLayers, modes: Sequence[PartialModes], forces: Sequence[ForcePulse], gain: np.ndarray
 ) -> SharedResponse:
     """Estimate the modal response of a key from its layers, their forces and their gains [layers]."""
-    strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
+    sound = [m.coordinates(m.at_onset) for m in modes]
+    strongest = np.array([m.poles[_loudest(m)] for m in modes])
     drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
-    size = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
+    # The largest over the channels [partials, layers], as `drive`.
+    size = np.stack([np.linalg.norm(coordinates, axis=-1).max(axis=-1) for coordinates in sound])
     # The weight of a partial rises from 0 to 1 between signal-to-noise ratios of 10 and 30 dB.
     weight = np.stack([np.interp(m.snr, (10.0, 30.0), (0, 1)) for m in modes]) * size**LOUDNESS
-    delay = _delays(layers, modes, drive, weight)
-    at_contact = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]
+    delay = _delays(layers, modes, sound, drive, weight)
+    at_contact = [m.coordinates(m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :]) for m in modes]
     patterns = _patterns(modes, at_contact, drive, weight)
     response = ModalResponse(
         partial=np.concatenate([np.full(len(m.pole), m.number) for m in modes]),
@@ -83,9 +85,21 @@ def estimate_shared_response(
     return SharedResponse(response._replace(knock=knock, velocity_gain=part), delay)
 
 
-def _delays(layers: AlignedLayers, modes: Sequence[PartialModes], drive: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _loudest(modes: PartialModes) -> int:
+    """The mode of a partial with the largest sound in all layers and channels."""
+    amplitude = np.abs(modes.at_onset).sum(axis=(0, 1))
+    return int(np.argmax(amplitude * np.linalg.norm(modes.basis, axis=0)))
+
+
+def _delays(
+    layers: AlignedLayers,
+    modes: Sequence[PartialModes],
+    sound: Sequence[np.ndarray],
+    drive: np.ndarray,
+    weight: np.ndarray,
+) -> np.ndarray:
     """Time from each layer's onset to its contact, s [layers]."""
-    factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
+    factor = np.stack([common_pattern(x, m.noise)[1] for x, m in zip(sound, modes, strict=True)])
     omega = 2 * np.pi * np.array([m.frequency for m in modes])
     delay = np.array([_delay(layers, factor / drive, weight, omega, i) for i in range(len(layers.samples))])
     return delay - delay.min()  # A contact is never before its onset. With one layer the delay is 0.
@@ -94,13 +108,13 @@ def _delays(layers: AlignedLayers, modes: Sequence[PartialModes], drive: np.ndar
 def _patterns(
     modes: Sequence[PartialModes], at_contact: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
 ) -> list[np.ndarray]:
-    """P of each partial [channels, modes], from the amplitudes at the contact."""
+    """P of each partial [channels, modes], from the coordinates of its sound after the contact."""
     common, factors = zip(*(common_pattern(a, m.noise) for a, m in zip(at_contact, modes, strict=True)), strict=True)
     ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
     level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
-    return [p * np.exp(x + 1j * a) for p, x, a in zip(common, level, phase, strict=True)]
+    return [m.amplitudes(p) * np.exp(x + 1j * a) for m, p, x, a in zip(modes, common, level, phase, strict=True)]
 
 
 def _velocity_gain(
@@ -124,21 +138,25 @@ def _velocity_gain(
     with np.errstate(divide="ignore", invalid="ignore"):  # a partial without amplitude gets an infinite error
         error = (np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)).T[order]
     error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
-    level, deviation, share = [], [], []
-    for amplitude, common in zip(per_drive, patterns, strict=True):
-        own = amplitude[order]
-        norm, common_norm = np.linalg.norm(own, axis=(1, 2)), np.linalg.norm(common)
-        turn = np.exp(-1j * np.angle((own * common.conj()).sum(axis=(1, 2))))
-        power = np.linalg.norm(common, axis=0)
-        projected = (own * common.conj()).sum(axis=1) / np.where(power > 0, power, 1.0)
-        share.append(power / common_norm)
+    level, deviation, share, to_factors = [], [], [], []
+    for m, amplitude, pattern in zip(modes, per_drive, patterns, strict=True):
+        own = amplitude[order].reshape(len(order), -1)
+        # A mode has the same factor in all channels. With these factors the sound is `columns` @ factors.
+        columns = (m.basis * pattern[:, None, :]).reshape(-1, pattern.shape[-1])
+        norm, common_norm = np.linalg.norm(own, axis=1), np.linalg.norm(columns.sum(axis=1))
+        q, triangle = np.linalg.qr(columns / common_norm)
+        share.append(triangle.sum(axis=1))
+        to_factors.append(np.linalg.pinv(triangle, rcond=LEAST_SINGULAR).T)
+        projected = own @ q.conj()
+        turn = np.exp(-1j * np.angle(projected @ share[-1].conj()))
         level.append(np.log(np.where(norm > 0, norm, common_norm) / common_norm))
         deviation.append((turn / np.where(norm > 0, norm, 1.0))[:, None] * projected - share[-1])
     levels = smooth_random_walk(np.stack(level, axis=1), error, velocity)
-    number, columns, shares = [len(x) for x in share], np.concatenate(deviation, axis=1), np.concatenate(share)
+    number, columns = [len(x) for x in share], np.concatenate(deviation, axis=1)
     both = np.concatenate([np.real(columns), np.imag(columns)], axis=1)
     real, imag = np.split(smooth_random_walk(both, np.tile(np.repeat(error, number, axis=1), 2), velocity), 2, axis=1)
-    factor = 1 + (real + 1j * imag) / np.where(shares > 0, shares, np.inf)
+    parts = np.split(real + 1j * imag, np.cumsum(number)[:-1], axis=1)
+    factor = 1 + np.concatenate([part @ to for part, to in zip(parts, to_factors, strict=True)], axis=1)
     return VelocityGain(velocity[first], (np.exp(np.repeat(levels, number, axis=1)) * factor)[first])
 
 

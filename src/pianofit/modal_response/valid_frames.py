@@ -1,7 +1,7 @@
 """Valid frames of a partial's band, and their weights.
 
-Frames are valid from the end of the attack until the partial falls below the noise. Each layer is weighted relative to
-its own envelope, and evenly in the logarithm of time.
+Frames are valid from the end of the attack until the partial falls below the noise and does not return. Each layer is
+weighted relative to its own envelope, and evenly in the logarithm of time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ENVELOPE = 0.06
 FEWEST = 12
 # Valid frames begin this time, s, after the window has left the onset: the length of the first contact.
 CONTACT = 0.003
-# Valid frames end where the envelope falls below this multiple of the noise amplitude.
+# The envelope is above the noise where it exceeds this multiple of the noise amplitude.
 NOISE_MARGIN = 2.0
 # Least standard deviation in the search for poles, dB relative to the first frame of the signal.
 LEAST_DEVIATION_DB = 40.0
@@ -70,8 +70,11 @@ def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> Vali
     if not above_noise.any():
         return None
     frame = np.arange(first, stop.max())
-    lost = (envelope[..., frame] < NOISE_MARGIN * floor[..., None]) | (frame >= stop[:, None, None])
-    length = np.where(lost.any(axis=-1), lost.argmax(axis=-1), len(frame))
+    # A partial can beat below the noise and return, and noise can exceed its margin. So the partial ends where the sum
+    # of its levels above the noise is largest: what follows lies below the noise on the whole.
+    above = np.log(np.maximum(envelope[..., frame], 1e-300) / (NOISE_MARGIN * floor[..., None]))
+    total = np.cumsum(np.where(frame < stop[:, None, None], above, -np.inf), axis=-1)
+    length = np.where(total.max(axis=-1) > 0, total.argmax(axis=-1) + 1, 0)
     length = np.maximum(length, max(FEWEST, int(0.1 / b.step)))[above_noise]
     frame = frame[: length.max()]
     # The square root gives equal ratios of time equal weight.
