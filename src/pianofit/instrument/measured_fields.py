@@ -36,6 +36,8 @@ CELL = 1 / 6
 LARGEST_SIDE = 4.0
 # Times at which decay curves are compared, in units of the inverse decay rate of the laws.
 TIMES = np.concatenate([[0.0], np.geomspace(5e-4, 60, 56)])
+# Standard deviation of the logarithm of time over which a power is averaged: a few beats of those that are heard.
+BLUR = 0.5
 # Part of these times from which the early decay follows.
 EARLY = (TIMES > 0) & (TIMES <= 1.0)
 # Smallest early decay over that of the laws.
@@ -303,16 +305,26 @@ def partial_energies(response: ModalResponse, part: np.ndarray, velocities: np.n
     ----------
     part : whether a mode belongs to the partial [modes].
     """
-    gain = response.velocity_gain
-    factors = [np.ones(part.sum()) if gain is None else np.abs(gain.at(v)[part]) for v in velocities]
-    power = np.abs(response.pattern[:, part].mean(axis=0)) ** 2 * np.array(factors) ** 2
-    return power @ level_energy(-2 * np.real(response.pole[part]))
+    gain, pole = response.velocity_gain, response.pole[part]
+    factors = [np.ones(len(pole)) if gain is None else gain.at(v)[part] for v in velocities]
+    amplitude = response.pattern[:, part].mean(axis=0) * np.array(factors)
+    # Modes that are too close to beat can cancel.
+    products = level_energy(-(pole[:, None] + pole.conj()))
+    return np.einsum("vi,ij,vj->v", amplitude, products, amplitude.conj()).real
 
 
 def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: float) -> np.ndarray:
-    """Power of a partial without interference at the `TIMES`, over its energy [times]."""
-    power, rate = np.abs(mono[part]) ** 2, -np.real(response.pole[part])
-    return power @ np.exp(-2 * np.outer(rate / decay, TIMES)) / max(float(power @ level_energy(2 * rate)), NOTHING)
+    """Power of a partial at the `TIMES`, over its energy [times].
+
+    Each power is a mean over the logarithm of time about it. It is free of beats, but modes that are too close to beat
+    cancel each other, as in the sound.
+    """
+    pole = response.pole[part] / decay
+    rate = pole[:, None] + pole.conj()
+    beats = np.exp(-0.5 * (BLUR * TIMES[:, None, None] * np.imag(rate)) ** 2)
+    power = np.einsum("i,tij,j->t", mono[part], beats * np.exp(TIMES[:, None, None] * rate), mono[part].conj()).real
+    energy = partial_energies(response._replace(velocity_gain=None), part, np.ones(1))[0]
+    return np.maximum(power, 0.0) / max(float(energy), NOTHING)
 
 
 def early_ratio(curve: np.ndarray) -> np.ndarray:
