@@ -32,7 +32,7 @@ def errors(seed: int) -> tuple[np.ndarray, np.ndarray]:
     analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
     problem = build_problem(twin.recordings, analyses, twin.setup)
     found, objective = fit_string(problem), Objective.of_string(problem)
-    curvature = objective.prior(found.theta)[2].copy()
+    curvature = objective.prior(found.theta)[2][0].copy()
     for term, part in zip(objective.terms, found.parts, strict=True):
         point = part.residual[0], part.jacobian[0], part.phi[0], part.w[0], found.theta[0]
         curvature += marginalise_nuisances(term.table, *point, HYPER).curvature

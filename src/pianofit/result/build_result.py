@@ -29,6 +29,7 @@ from ..schema.fit import (
 from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
+from .correlations import StrongCorrelation, covariance_of, strong_correlations
 from .derived import scale_velocity
 from .derived_table import derived_quantities, with_force_interval
 from .draws import Draws
@@ -36,7 +37,7 @@ from .estimates import invariants, parameters, stroke_velocities
 from .fitted_recording import FittedRecording
 from .notes import notes_of
 from .result import Result
-from .statement import covariance_of, identifiability_statement, strong_correlations
+from .statement import identifiability_statement
 from .statuses import statuses
 from .warnings import fit_warnings
 
@@ -57,9 +58,9 @@ def build_result(fit: InferenceResult) -> Result:
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
         for own in by_minimum
     )
-    states, velocities = statuses(fit), stroke_velocities(fit)
-    levels = pool_level_errors([recording.levels for recording in recordings])
     reference, errors = recordings[problem.reference], [recording.levels.fitted_db for recording in recordings]
+    levels, worse = pool_level_errors([recording.levels for recording in recordings]), worse_bands(reference.criterion)
+    states, velocities, correlated = statuses(fit), stroke_velocities(fit), strong_correlations(fit)
     records = _records(fit, recordings, velocities)
     record = Fit(
         recipe="default",
@@ -67,8 +68,8 @@ def build_result(fit: InferenceResult) -> Result:
         felt=problem.initial_values.law.name,
         seed=fit.seed,
         converged=bool(found.minima.converged[0]),
-        identifiability_statement=identifiability_statement(fit, states, levels),
-        warnings=tuple(fit_warnings(fit, states, worse_bands(reference.criterion), errors)),
+        identifiability_statement=identifiability_statement(fit, states, levels, correlated),
+        warnings=fit_warnings(fit, states, correlated, worse, errors),
         invariants=invariants(fit, states),
         parameters=parameters(fit, states, velocities[problem.structure.stroke[problem.reference]]),
         recordings=records,
@@ -77,7 +78,7 @@ def build_result(fit: InferenceResult) -> Result:
         derived=derived_of(reference),
         criterion=reference.criterion,
         levels=levels,
-        diagnostics=_diagnostics(fit),
+        diagnostics=_diagnostics(fit, correlated),
         prior=problem.key_prior,
         versions=package_versions(),
     )
@@ -131,7 +132,7 @@ def _minima(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mini
     return tuple(records)
 
 
-def _diagnostics(fit: InferenceResult) -> Diagnostics:
+def _diagnostics(fit: InferenceResult, correlated: Sequence[StrongCorrelation]) -> Diagnostics:
     problem, minima = fit.problem, fit.estimate.minima
     (sigma, smooth, octaves, floor, walk), *strings = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
     cents, decay = (float(np.hypot(*hyper[:2])) for hyper in strings)
@@ -140,7 +141,7 @@ def _diagnostics(fit: InferenceResult) -> Diagnostics:
     return Diagnostics(
         evaluations=fit.estimate.n_strokes_computed,
         partials=int(np.asarray(problem.observed.level.detected)[:, problem.observed.number != KNOCK].sum()),
-        correlated=tuple(Correlation((a, b), r) for a, b, r in strong_correlations(fit)),
+        correlated=tuple(Correlation((pair.first, pair.second), pair.correlation) for pair in correlated),
         negative_log_posterior=float(minima.nll[0]),
         censored=len(problem.observed.level.censored),
         contact_rate_Hz=float(problem.model_inputs.rate),

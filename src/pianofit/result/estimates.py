@@ -13,7 +13,7 @@ from ..parameters import FIT_NAMES
 from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
 from ..transducer import TRANSDUCERS
-from .statement import felt_force_name
+from .correlations import felt_force_name
 from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.

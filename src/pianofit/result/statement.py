@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from ..conversions import HALF_WIDTH_95
 from ..inference import InferenceResult
-from ..inference.parametrisation import Parametrisation
-from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..schema.fit import LevelErrors
-from ..schema.quantities import Covariance, Status
+from ..schema.quantities import Status
+from .correlations import StrongCorrelation
 from .released_statement import released_statement
 from .statuses import (
     FELT_EXCESS_DB,
@@ -22,16 +18,16 @@ from .statuses import (
     velocity_range,
 )
 
-# Correlations of two logarithms beyond this are listed.
-STRONG_CORRELATION = 0.99
 KEYBOARD_PRIOR = " The prior of hammer and felt is the prediction from the other keys of the keyboard."
 
 
-def identifiability_statement(fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors) -> str:
+def identifiability_statement(
+    fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors, correlated: Sequence[StrongCorrelation]
+) -> str:
     """The opening sentences of a result."""
     keyboard = KEYBOARD_PRIOR if fit.problem.key_prior is not None else ""
     if fit.problem.calibrated:
-        return _calibrated(fit, states) + keyboard
+        return _calibrated(fit, states, correlated) + keyboard
     problem, law = fit.problem, fit.problem.parametrisation.law
     if not law.has_contact:
         return released_statement(fit, states, levels)
@@ -92,7 +88,7 @@ def _uncalibrated(fit: InferenceResult) -> str:
     )
 
 
-def _calibrated(fit: InferenceResult, states: Mapping[str, Status]) -> str:
+def _calibrated(fit: InferenceResult, states: Mapping[str, Status], correlated: Sequence[StrongCorrelation]) -> str:
     """The statement of calibrated recordings."""
     several = len(fit.problem.recordings) > 1
     opening = "The recordings are calibrated" if several else "The recording is calibrated"
@@ -108,52 +104,11 @@ def _calibrated(fit: InferenceResult, states: Mapping[str, Status]) -> str:
     if unidentifiable:
         return f"{opening}, but {'do' if several else 'does'} not determine {_listed(*unidentifiable)}."
     pairs = (
-        f" {a} and {b} are determined mainly in one combination: {best_combination(fit, a, b)}."
-        for a, b, _ in strong_correlations(fit)
+        f" {pair.first} and {pair.second} are determined mainly in one combination: {pair.best_combination}."
+        for pair in correlated
     )
     return f"{opening} and {'determine' if several else 'determines'} all free parameters." + "".join(pairs)
 
 
 def _listed(*names: str) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-
-
-def strong_correlations(fit: InferenceResult) -> list[tuple[str, str, float]]:
-    """Pairs of parameters that the recordings do not distinguish, with their correlation as in `Result.correlation`."""
-    correlation = covariance_of(fit).of_shared(fit.problem.velocity_scale_free).normalised
-    names, r = correlation.names, correlation.matrix
-    return [
-        (names[j], names[i], float(r[i, j]))
-        for i in range(len(names))
-        for j in range(i)
-        if abs(r[i, j]) > STRONG_CORRELATION
-    ]
-
-
-def covariance_of(fit: InferenceResult, minimum: int = 0) -> Covariance:
-    """Covariance of the logarithms of the parameters and velocities at a minimum, by name."""
-    names = fit.problem.parameter_indices
-    return Covariance(tuple(names), fit.posterior.covariance[minimum][np.ix_([*names.values()], [*names.values()])])
-
-
-def best_combination(fit: InferenceResult, a: str, b: str) -> str:
-    """A well-determined combination of two correlated parameters, with its uncertainty.
-
-    That of K_H and p is the felt force at the reference compression. log a − s log b of two others has the least
-    variance at s = cov(a, b)/var(b).
-    """
-    u, posterior = fit.problem.parametrisation, fit.gauge_fixed
-    i, j = (fit.problem.parameter_indices[name] for name in (a, b))
-    if (a, b) == u.law.power:
-        force = float(np.exp(fit.estimate.theta[i]))
-        half = HALF_WIDTH_95 * posterior.sd(u.force_direction(fit.estimate.theta))
-        return f"the {felt_force_name(u)}, {with_half_interval(force, half, 'N')}"
-    cov = posterior.covariance[0]
-    slope = cov[i, j] / cov[j, j]
-    half = HALF_WIDTH_95 * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
-    return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
-
-
-def felt_force_name(u: Parametrisation) -> str:
-    """The name of the force that a fit searches, with its compression."""
-    return f"static felt force at {1e3 * u.reference_compression:.3g} mm"

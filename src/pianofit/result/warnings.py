@@ -14,7 +14,7 @@ from ..inference import FitProblem, InferenceResult, priors
 from ..io.files import printable
 from ..recording.recording import Recording
 from ..schema.quantities import Status, unit_of
-from .statement import best_combination, felt_force_name, strong_correlations
+from .correlations import StrongCorrelation, felt_force_name
 from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, velocity_statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
@@ -39,12 +39,17 @@ AT_BOUND = "These parameters are at a search bound, which sets their value: {}. 
 
 
 def fit_warnings(
-    fit: InferenceResult, states: Mapping[str, Status], worse: Sequence[str], errors: Sequence[float]
-) -> list[str]:
+    fit: InferenceResult,
+    states: Mapping[str, Status],
+    correlated: Sequence[StrongCorrelation],
+    worse: Sequence[str],
+    errors: Sequence[float],
+) -> tuple[str, ...]:
     """All warnings of a fit.
 
     Parameters
     ----------
+    correlated : the pairs of parameters that the recordings do not distinguish.
     worse : bands in which eq. 19 did not decrease.
     errors : rms level error of every recording, dB.
     """
@@ -57,7 +62,7 @@ def fit_warnings(
         outlier_warnings(problem, errors),
         _criterion_warning(worse),
         _bound_warning(fit, states),
-        _correlation_warnings(fit),
+        _correlation_warnings(correlated),
         _unmatched_warnings(problem),
         velocity_assignment_warning(problem),
         _assumption_warnings(fit),
@@ -66,7 +71,7 @@ def fit_warnings(
         recording_warnings(problem.recordings, problem.analyses),
         fit.alternative.messages if fit.alternative else (),
     )
-    return [line for section in sections for line in section]
+    return tuple(line for section in sections for line in section)
 
 
 def _convergence_warning(fit: InferenceResult) -> list[str]:
@@ -86,11 +91,11 @@ def _bound_warning(fit: InferenceResult, states: Mapping[str, Status]) -> list[s
     return [AT_BOUND.format(", ".join(at_bound))] if at_bound else []
 
 
-def _correlation_warnings(fit: InferenceResult) -> list[str]:
+def _correlation_warnings(correlated: Sequence[StrongCorrelation]) -> list[str]:
     return [
-        f"{a} and {b} are strongly correlated ({r:+.3f}). The best-determined combination is "
-        f"{best_combination(fit, a, b)}."
-        for a, b, r in strong_correlations(fit)
+        f"{pair.first} and {pair.second} are strongly correlated ({pair.correlation:+.3f}). The best-determined "
+        f"combination is {pair.best_combination}."
+        for pair in correlated
     ]
 
 
