@@ -315,7 +315,7 @@ def fault(kind: Kind, data: bytes, folder: Path) -> str | None:
         words = str(error)
         if not words.isprintable():
             found = f"a message of several lines or with controls: {words!r:.200}"
-        elif not any(name in words for name in (path.stem, *kind.beside)):
+        elif folder.name not in words and not any(name in words for name in (path.stem, *kind.beside)):
             found = f"a message that names no file: {words:.200}"
     except SlowCaseError:
         found = f"more than {LONGEST} s"

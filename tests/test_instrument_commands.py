@@ -214,6 +214,10 @@ def test_a_hostile_fit_is_refused(tmp_path):
         with pytest.raises(FitError, match=r"minima\[0\]"):
             load_keys([write_fit(tmp_path, 60, odd)])
     odd = copy.deepcopy(good)
+    odd["minima"][0]["parameters"]["M_H"] *= -1
+    with pytest.raises(FitError, match=r"minima\[0\] must have .* above 0 of M_H"):
+        load_keys([write_fit(tmp_path, 60, odd)])
+    odd = copy.deepcopy(good)
     odd["minima"][0]["covariance"]["matrix"][0][0] = -1.0
     with pytest.raises(FitError, match=r"minima\[0\]\.covariance"):
         load_keys([write_fit(tmp_path, 60, odd)])

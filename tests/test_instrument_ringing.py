@@ -215,6 +215,16 @@ def test_a_hostile_ringing_is_refused(name, document, tmp_path, monkeypatch):
     assert str(caught.value).startswith("bad.json: ")
 
 
+@pytest.mark.parametrize("law", ["d2", "mu"])
+def test_guessed_keys_need_the_laws_of_string_and_hammer(law, document, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bad = copy.deepcopy(document)
+    del bad["laws"][law]
+    (tmp_path / "bad.json").write_text(json.dumps(bad))
+    with pytest.raises(FitError, match=f"bad.json: laws must have {law}, "):
+        load_instrument("bad.json")
+
+
 def test_a_song_is_written_in_as_many_channels(file, tmp_path):
     track = mido.MidiTrack([mido.Message("note_on", note=50, velocity=80), mido.Message("note_off", note=50, time=480)])
     mido.MidiFile(tracks=[track]).save(tmp_path / "a.mid")

@@ -262,11 +262,12 @@ def _check_values(fit: Fit, name: str, law: Excitation) -> None:
                 "pianofit fit wrote"
             )
     for i, minimum in enumerate(fit.minima):
-        missing = needed(law) - {*minimum.values(fit)}
+        values = minimum.values(fit)
+        missing = {parameter for parameter in needed(law) if not values.get(parameter, 0.0) > 0}
         if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
-                f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and the parameters "
-                f"{', '.join(sorted(missing)) or 'of a fit'}; give the file that pianofit fit wrote"
+                f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and values above 0 of "
+                f"{', '.join(sorted(missing)) or 'its parameters'}; give the file that pianofit fit wrote"
             )
         if minimum.covariance is not None and not minimum.covariance.is_valid:
             raise FitError(

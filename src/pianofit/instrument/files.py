@@ -31,7 +31,7 @@ from ..schema.instrument import (
 from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, load_extras, load_keys
-from .guessed_keys import with_guessed_responses
+from .guessed_keys import missing_laws, with_guessed_responses
 from .instrument import Instrument, Key
 from .noise_floor import NoiseFloor, noise_entry
 from .release_noise import ReleaseNoise, release_entries
@@ -77,6 +77,8 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
         raise ParameterError(f"even={even:g}: {printable(path)} is a finished instrument; give the folder of its fits")
     record, name = read_instrument_file(file), printable(file)
     keys = {entry.midi: _key(entry, record, f"{name}: keys[{i}]") for i, entry in enumerate(record.keys)}
+    if missing := missing_laws(keys, record.laws):
+        raise FitError(f"{name}: laws must have {', '.join(missing)}, which its guessed keys need; {HINT}")
     keys = with_guessed_responses(keys, record.laws)
     return Instrument(
         printable(record.name),

@@ -53,6 +53,18 @@ MARGIN_OCTAVES = 0.5 / 12
 SEED = 0
 
 
+# Laws of the string that a guess needs, besides those of the hammers of the recorded keys.
+STRING_LAWS = ("b1", "d2", "x0/L")
+
+
+def missing_laws(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> list[str]:
+    """Return the names of laws that the guessed keys need and that are not there."""
+    if not any(key.is_guessed for key in keys.values()):
+        return []
+    hammers = (law_of(key.note.hammer).key_quantities for key in keys.values() if key.fit is not None)
+    return sorted({*STRING_LAWS, *(name for names in hammers for name in names)} - {*laws})
+
+
 def string_law(laws: Mapping[str, KeyboardLaw], midi: int) -> StringLaw:
     """Return the values of the keyboard laws for the string of a key."""
     i, strike = midi - LOWEST_KEY, laws["x0/L"]
