@@ -75,7 +75,7 @@ CONSTANTS = {
     ),
     "modes": ("FASTEST", "FASTEST_RATIO", "FAINTEST", "LARGEST_LAYER_SNR", "OF_SPACING", "OF_BAND"),
     "shared_response": (
-        "KNOCK",
+        "KNOCK_SECONDS",
         "FADE",
         "LEAST_DRIVE",
         "FLOOR",

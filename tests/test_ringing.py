@@ -25,7 +25,14 @@ from pianofit.modal_response import (
     shared_response,
 )
 from pianofit.modal_response.valid_frames import select_valid_frames
-from pianofit.model.modal_response import ForcePulse, ModalResponse, VelocityGain, cancel_static_deflection
+from pianofit.model.modal_response import (
+    KNOCK_SECONDS,
+    PRE_ONSET_S,
+    ForcePulse,
+    ModalResponse,
+    VelocityGain,
+    cancel_static_deflection,
+)
 from pianofit.recording.recording import Recording, load_recording, recording_from_samples
 
 STUDY = Path(__file__).parents[1] / "benchmarks" / "ringing_study.py"
@@ -220,7 +227,7 @@ def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_p
 
 def test_the_knock_begins_and_ends_in_silence_and_is_short():
     knock = found()[2].knock
-    assert knock.shape[-1] / RATE == pytest.approx(0.412, abs=1e-3)
+    assert knock.shape[-1] / RATE == pytest.approx(PRE_ONSET_S + KNOCK_SECONDS, abs=1e-3)
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
 

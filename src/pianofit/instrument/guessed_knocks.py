@@ -15,11 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import ShortTimeFFT
 
-from ..model.modal_response import PRE_ONSET_S, ModalResponse, cancel_static_deflection
+from ..model.modal_response import KNOCK_SECONDS, PRE_ONSET_S, ModalResponse, cancel_static_deflection
 from .fields import Field, FieldPoints, FieldShape, field_shape
 
-# Duration of a knock after the contact, s, as that of a recorded one.
-KNOCK_S = 0.4
 # Window of the frames and their distance, s: a knock changes within some ten milliseconds.
 WINDOW_S, HOP_S = 0.02, 0.005
 # Edges of the bands, Hz: half octaves.
@@ -54,7 +52,7 @@ class KnockFields(NamedTuple):
 
 def static_part(response: ModalResponse) -> np.ndarray:
     """Return the knock that cancels the static deflection of the modes, and has no other sound [channels, samples]."""
-    lead, count = round(PRE_ONSET_S * response.rate), round(KNOCK_S * response.rate)
+    lead, count = round(PRE_ONSET_S * response.rate), round(KNOCK_SECONDS * response.rate)
     return np.pad(cancel_static_deflection(response.pole, response.pattern, response.rate, count), ((0, 0), (lead, 0)))
 
 

@@ -11,6 +11,7 @@ from ..dsp.damped_sums import sum_damped_modes
 from ..dsp.filters import delayed
 from ..model.modal_response import (
     FILTER_REACH,
+    KNOCK_SECONDS,
     PRE_ONSET_S,
     ForcePulse,
     ModalResponse,
@@ -21,10 +22,7 @@ from .aligned_layers import AlignedLayers
 from .modes import LEAST_SINGULAR, PartialModes, common_pattern
 from .random_walks import UNINFORMATIVE_ERROR, smooth_random_walk
 
-# Longest knock after the contact, s. A longer one hardly reduces the log-mel distance. The end of the shortest layer
-# also limits it.
-KNOCK = 0.4
-# Share of the knock, at its end, over which it fades out.
+# Share of the knock, which the shortest layer can cut, at its end, over which it fades out.
 FADE = 1 / 3
 # Modes whose drive lies this far below the largest one, as an amplitude ratio, lie at a zero of the force spectrum.
 # Their measured amplitude does not come from the force, and division by the drive would inflate it. Values from a third
@@ -199,7 +197,7 @@ def _knock(
     # Each layer has its own pitch. A mismatch of one cent would leave its partials in the knock.
     pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
     rate, lead = layers.rate, round(PRE_ONSET_S * layers.rate)
-    size = lead + round(min(KNOCK, *(layers.seconds - delay)) * rate)
+    size = lead + round(min(KNOCK_SECONDS, *(layers.seconds - delay)) * rate)
 
     def inaudible(pattern: np.ndarray) -> np.ndarray:
         return np.pad(cancel_static_deflection(response.pole, pattern, rate, size - lead), ((0, 0), (lead, 0)))
