@@ -338,6 +338,19 @@ def test_a_mode_that_is_counted_twice_sounds_once():
     np.testing.assert_allclose(sounds[1], sounds[0], atol=1e-6 * np.abs(sounds[0]).max())
 
 
+@pytest.mark.parametrize("velocities", [(0.6,), (0.6, 1.7)])
+def test_a_partial_that_no_remaining_layer_shows_is_silent(velocities):
+    """As in a test without the loudest layer. The others sound as before."""
+    layers, modes, _ = found(velocities)
+    forces, gain = [force_at(v) for v in velocities], np.full(len(velocities), 30.0)
+    absent = dataclasses.replace(modes[-1], amplitude=0 * modes[-1].amplitude)
+    sounds = [
+        estimate_shared_response(layers, m, forces, gain).response.without_knock().sound(force_at(1.0), RATE, RATE)
+        for m in ([*modes[:-1], absent], modes[:-1])
+    ]
+    np.testing.assert_allclose(sounds[0], sounds[1], atol=1e-9 * np.abs(sounds[1]).max())
+
+
 def test_a_partial_that_returns_after_a_null_is_fitted_to_its_end():
     """Its prompt sound and its aftersound cancel after 0.3 s. Nothing but noise is left of them for 0.12 s."""
     time, random, null = np.arange(round(SECONDS * 200)) / 200, np.random.default_rng(0), 0.3

@@ -85,8 +85,9 @@ class PartialModes:
         sound = np.abs(self.at_onset @ shape.T)
         relative = sound / np.maximum(sound.max(axis=(1, 2), keepdims=True), 1e-300)
         envelope = np.sqrt((relative**2).mean(axis=(0, 1)))
-        floor = 10 ** (-RANGE / 20) * envelope.max()
-        return np.asarray(np.linalg.qr(shape / (envelope + floor)[:, None], mode="r"))
+        # Without a layer that shows the partial, all times have one weight.
+        envelope = envelope + 10 ** (-RANGE / 20) * envelope.max() if envelope.any() else np.ones(len(EVEN_TIMES))
+        return np.asarray(np.linalg.qr(shape / envelope[:, None], mode="r"))
 
     def coordinates(self, amplitude: np.ndarray) -> np.ndarray:
         """Coordinates of the sound of amplitudes at the onset [..., modes]."""

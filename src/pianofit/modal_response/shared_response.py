@@ -110,7 +110,9 @@ def _patterns(
     common, factors = zip(*(common_pattern(a, m.noise) for a, m in zip(at_contact, modes, strict=True)), strict=True)
     ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
-    level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+    total = weight.sum(axis=1)
+    # A partial that no layer shows is silent.
+    level = np.where(total > 0, (weight * log).sum(axis=1) / np.where(total > 0, total, 1.0), -np.inf)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
     return [m.amplitudes(p) * np.exp(x + 1j * a) for m, p, x, a in zip(modes, common, level, phase, strict=True)]
 
@@ -141,7 +143,7 @@ def _velocity_gain(
         own = amplitude[order].reshape(len(order), -1)
         # A mode has the same factor in all channels. With these factors the sound is `columns` @ factors.
         columns = (m.basis * pattern[:, None, :]).reshape(-1, pattern.shape[-1])
-        norm, common_norm = np.linalg.norm(own, axis=1), np.linalg.norm(columns.sum(axis=1))
+        norm, common_norm = np.linalg.norm(own, axis=1), float(np.linalg.norm(columns.sum(axis=1))) or 1.0
         q, triangle = np.linalg.qr(columns / common_norm)
         share.append(triangle.sum(axis=1))
         to_factors.append(np.linalg.pinv(triangle, rcond=LEAST_SINGULAR).T)
