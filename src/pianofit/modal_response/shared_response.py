@@ -78,7 +78,7 @@ def estimate_shared_response(
         rate=layers.rate,
     )
     knock = _knock(layers, modes, response, forces, delay, gain)
-    per_drive = [a / row[:, None, None] for a, row in zip(at_contact, drive, strict=True)]
+    per_drive = [x / row[:, None, None] for x, row in zip(at_contact, drive, strict=True)]
     part = _velocity_gain(modes, patterns, per_drive, size, np.array([force.velocity for force in forces]))
     return SharedResponse(response._replace(knock=knock, velocity_gain=part), delay)
 
@@ -107,7 +107,7 @@ def _patterns(
     modes: Sequence[PartialModes], at_contact: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
 ) -> list[np.ndarray]:
     """P of each partial [channels, modes], from the coordinates of its sound after the contact."""
-    common, factors = zip(*(common_pattern(a, m.noise) for a, m in zip(at_contact, modes, strict=True)), strict=True)
+    common, factors = zip(*(common_pattern(x, m.noise) for x, m in zip(at_contact, modes, strict=True)), strict=True)
     ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
     total = weight.sum(axis=1)
@@ -124,10 +124,11 @@ def _velocity_gain(
     size: np.ndarray,
     velocity: np.ndarray,
 ) -> VelocityGain | None:
-    """Velocity gain from amplitudes over drives; None with one velocity, which the pattern describes completely.
+    """Velocity gain from sounds over drives; None with one velocity, which the pattern describes completely.
 
-    The level of a partial and the shares of its modes vary by one or two decibels beyond the force. Both are random
-    walks over the logarithm of the velocity. Where the strokes do not determine a walk, it stays at its mean.
+    The level of a partial and the shares of its modes in its sound vary by one or two decibels beyond the force. Both
+    are random walks over the logarithm of the velocity. Where the strokes do not determine a walk, it stays at its
+    mean.
     """
     order = np.argsort(velocity, kind="stable")
     velocity, first = velocity[order], np.unique(velocity[order], return_index=True)[1]
@@ -139,8 +140,8 @@ def _velocity_gain(
         error = (np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)).T[order]
     error = np.where(np.isfinite(error), error, UNINFORMATIVE_ERROR)
     level, deviation, share, to_factors = [], [], [], []
-    for m, amplitude, pattern in zip(modes, per_drive, patterns, strict=True):
-        own = amplitude[order].reshape(len(order), -1)
+    for m, sound, pattern in zip(modes, per_drive, patterns, strict=True):
+        own = sound[order].reshape(len(order), -1)
         # A mode has the same factor in all channels. With these factors the sound is `columns` @ factors.
         columns = (m.basis * pattern[:, None, :]).reshape(-1, pattern.shape[-1])
         norm, common_norm = np.linalg.norm(own, axis=1), float(np.linalg.norm(columns.sum(axis=1))) or 1.0
@@ -152,8 +153,8 @@ def _velocity_gain(
         level.append(np.log(np.where(norm > 0, norm, common_norm) / common_norm))
         deviation.append((turn / np.where(norm > 0, norm, 1.0))[:, None] * projected - share[-1])
     levels = smooth_random_walk(np.stack(level, axis=1), error, velocity)
-    number, columns = [len(x) for x in share], np.concatenate(deviation, axis=1)
-    both = np.concatenate([np.real(columns), np.imag(columns)], axis=1)
+    number, both = [len(x) for x in share], np.concatenate(deviation, axis=1)
+    both = np.concatenate([np.real(both), np.imag(both)], axis=1)
     real, imag = np.split(smooth_random_walk(both, np.tile(np.repeat(error, number, axis=1), 2), velocity), 2, axis=1)
     parts = np.split(real + 1j * imag, np.cumsum(number)[:-1], axis=1)
     factor = 1 + np.concatenate([part @ to for part, to in zip(parts, to_factors, strict=True)], axis=1)
