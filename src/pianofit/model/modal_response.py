@@ -30,8 +30,8 @@ from .simulate import Simulation
 
 # The knock may begin this long before the contact, s: onsets are detected a little late.
 PRE_ONSET_S = 0.012
-# Longest knock after the contact, s. From 0.4 to 0.6 and 0.8 s, the mean distance of 13 left-out layers falls from 2.41
-# to 2.18 and 2.10 dB, and a piece is rendered at 0.9 of the speed each time.
+# Longest knock after the contact, s. With 0.4, 0.6 and 0.8 s, the mean distance of 13 left-out layers is 2.41, 2.18 and
+# 2.10 dB (`benchmarks/realism.py`), and the speed of a dense piece 1, 0.97 and 0.87 (`benchmarks/resonance.py`).
 KNOCK_SECONDS = 0.6
 # Samples before and after a force that a band-limited force extends over: the reach of the resampling filter.
 FILTER_REACH = 10
