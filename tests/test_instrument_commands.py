@@ -213,6 +213,9 @@ def test_a_hostile_fit_is_refused(tmp_path):
         odd["minima"][0][entry] = value
         with pytest.raises(FitError, match=r"minima\[0\]"):
             load_keys([write_fit(tmp_path, 60, odd)])
+    lossless = copy.deepcopy(good)
+    lossless["minima"][0]["parameters"]["mu"] = 0.0
+    assert len(load_keys([write_fit(tmp_path, 60, lossless)])) == 1
     odd = copy.deepcopy(good)
     odd["minima"][0]["parameters"]["M_H"] *= -1
     with pytest.raises(FitError, match=r"minima\[0\] must have .* above 0 of M_H"):

@@ -263,7 +263,8 @@ def _check_values(fit: Fit, name: str, law: Excitation) -> None:
             )
     for i, minimum in enumerate(fit.minima):
         values = minimum.values(fit)
-        missing = {parameter for parameter in needed(law) if not values.get(parameter, 0.0) > 0}
+        # A felt may have no loss: `note_at` gives it the smallest one.
+        missing = {x for x in needed(law) if not (values.get(x, -1.0) > 0 or (x == "mu" and values.get(x) == 0))}
         if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
                 f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and values above 0 of "

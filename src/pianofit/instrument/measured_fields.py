@@ -36,7 +36,8 @@ CELL = 1 / 6
 LARGEST_SIDE = 4.0
 # Times at which decay curves are compared, in units of the inverse decay rate of the laws.
 TIMES = np.concatenate([[0.0], np.geomspace(5e-4, 60, 56)])
-# Standard deviation of the logarithm of time over which a power is averaged: half of an e-fold.
+# Standard deviation of the logarithm of time over which a power is averaged: half of an e-fold. Half and twice of it
+# change the mean distance of left-out keys by 0.02 dB at most (`benchmarks/unrecorded.py`).
 BLUR = 0.5
 # Part of these times from which the early decay follows.
 EARLY = (TIMES > 0) & (TIMES <= 1.0)
