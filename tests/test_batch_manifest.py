@@ -124,7 +124,10 @@ def test_a_velocity_without_a_unit_is_midis_and_names_the_layer(tmp_path, header
         (None, "v016", ""), (None, "v127", "v127"), (None, "v127", "v127")
     ]  # fmt: skip
     assert "v_H0" in remarks[0]
-    assert "v_H0 =" not in make_job(key, Settings()).setup
+    setup = tmp_path / "setup.toml"
+    setup.write_text(make_job(key, Settings()).setup)
+    given = Setup.from_toml(setup).recordings
+    assert [(entry.v_H0, entry.midi_velocity) for entry in given] == [(None, 16.0), (None, 127.0), (None, 127.0)]
 
 
 def test_a_velocity_in_a_pattern_is_midis_unless_it_is_called_v_h0(tmp_path):
@@ -191,6 +194,10 @@ HOSTILE = {
     "no-piano": ("file,note\na.wav,D9", "line 2: note D9 is outside the range of a piano"),
     "v_H0": ("file,note,v_H0\na.wav,C4,64", "line 2: v_H0 '64' must be a number from 0.01 to 20 m/s"),
     "nan": ("file,note,v_H0\na.wav,C4,nan", "line 2: v_H0 'nan'"),
+    "too-fast": (
+        "file,note,velocity\na.wav,C4,128",
+        "line 2: velocity 128 is a MIDI velocity and must be from 1 to 127",
+    ),
     "no-midi": ("file,note,velocity\na.wav,C4,1.25", "line 2: velocity '1.25' .* v_H0"),
     "no-column": ("path,note\na.wav,C4", "the header has no column 'file'"),
     "column-twice": ("file,note,note\na.wav,C4,C4", "column 'note' twice"),

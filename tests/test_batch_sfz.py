@@ -57,6 +57,7 @@ def test_an_sfz_file_names_keys_velocities_and_samples(tmp_path):
         "C4": ["loud.wav", "soft one.wav"], "Cs4": ["cs.wav"], "D4": ["D4.wav"],
     }  # fmt: skip
     assert [s.layer[:8] for s in keys[0].samples] == ["v090-127", "v001-089"]
+    assert [s.midi_velocity for s in keys[0].samples] == [108.5, 45.0]
     assert len(remarks) == 1
     assert "1 region without a recorded sample" in remarks[0]
     assert "1 region on release" in remarks[0]

@@ -35,6 +35,7 @@ from pianofit.instrument.quantity_law import (
 )
 from pianofit.schema.decode import convert
 from pianofit.schema.fit import Fit
+from pianofit.schema.instrument import Layer, VelocityCurve
 
 KEYS = list(range(24, 100, 3))
 ALL = list(range(21, 109))
@@ -379,15 +380,34 @@ def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path
     assert both.note.gain == one.note.gain
 
 
+def layers_of(velocities, midi_velocities=None) -> list[Layer]:
+    midi = midi_velocities or [None] * len(velocities)
+    return [Layer("a.wav", "0", 0.1, v, m) for v, m in zip(velocities, midi, strict=True)]
+
+
+def test_a_curve_goes_through_layers_at_the_midi_velocities_of_their_library():
+    true, midi = VelocityCurve(0.9, 1.2), [30, 74.5, 97.5, 112.5, 123.5]
+    layers = layers_of([true.at(m) for m in midi], midi)
+    unknown = layers_of([layer.velocity for layer in layers])
+    known, ordered = (fit_velocity_curve([key] * 30) for key in (layers, unknown))
+    assert known.source == "midi-velocities"
+    assert [known.at(m) for m in midi] == pytest.approx([true.at(m) for m in midi], rel=0.01)
+    # The order of the layers alone does not tell that most of them are loud.
+    assert ordered.source == "layers"
+    assert ordered.at(64) > 1.2 * true.at(64)
+    # Two microphones record a stroke once.
+    assert fit_velocity_curve([layers * 2] * 30).layers == known.layers
+
+
 def test_midi_velocities_rise_with_the_layers():
-    curve = fit_velocity_curve([(0.5, 1.0, 2.0, 4.0), (0.6, 1.1, 2.2, 4.0)])
+    curve = fit_velocity_curve([layers_of((0.5, 1.0, 2.0, 4.0)), layers_of((0.6, 1.1, 2.2, 4.0))])
     velocity = [curve.at(v) for v in range(1, 128)]
     assert all(np.diff(velocity) > 0)
     assert velocity[110] == pytest.approx(4.0, rel=0.15)
     assert velocity[15] == pytest.approx(0.55, rel=0.2)
-    assert fit_velocity_curve([(4.0,)]).source == "default"
-    # The curve rises even if the layers do not.
-    assert fit_velocity_curve([(1.0, 1.0, 1.0)]).rise > 0
+    assert fit_velocity_curve([layers_of((4.0,))]).source == "default"
+    # The curve rises even if the layers fall.
+    assert fit_velocity_curve([layers_of((3.0, 1.0, 0.4), (1, 64, 127))] * 30).rise > 0
 
 
 def test_what_is_no_library_is_refused(tmp_path):

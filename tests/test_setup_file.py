@@ -40,6 +40,7 @@ file = "a.flac"
 group = "close"
 gain_group = "close"
 stroke = "L4"
+midi_velocity = 112.5
 [[recording]]
 file = "b.flac"
 """
@@ -58,7 +59,7 @@ def test_every_key_is_read(tmp_path):
         fixed={"v_H0": 0.84},
         initial={"c": 310.6, "b1": 0.5},
         bounds={"K_H": (1e8, 1e12), "c": (300.0, 320.0)},
-        recordings=(RecordingInfo("a.flac", None, "close", "close", "L4"), RecordingInfo("b.flac")),
+        recordings=(RecordingInfo("a.flac", None, "close", "close", "L4", 112.5), RecordingInfo("b.flac")),
     )
 
 

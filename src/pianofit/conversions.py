@@ -1,4 +1,4 @@
-"""Shared conversions and constants: pitch in equal temperament, cents, decibels, T60, 95 % intervals, beating."""
+"""Shared conversions and constants: pitch in equal temperament, cents, decibels, T60, 95 % intervals, beating, MIDI."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import math
 HALF_WIDTH_95 = 1.959964
 # Smallest deviation from an exponential decay that counts as beating, dB. A curved decay can deviate by less.
 BEATING_DB = 1.5
+# Range of the velocities of struck keys in MIDI.
+MIDI_VELOCITIES = (1.0, 127.0)
 # MIDI numbers of the keys of a piano, A0 to C8.
 LOWEST_KEY, HIGHEST_KEY = 21, 108
 # Cents per unit of the natural logarithm of a frequency, and dB per unit of that of an amplitude.

@@ -46,6 +46,7 @@ class Source:
     sha256: str
     velocity: float | None = None  # m/s
     group: str = ""
+    midi_velocity: float | None = None
     stroke: str = ""
     layer: str = ""  # this and the following describe the recording and are not part of the hash
     channels: int = 0
@@ -78,7 +79,8 @@ class Job:
     @property
     def parts(self) -> dict[str, str]:
         """Hashes of the inputs, the settings and the versions, and of a prior."""
-        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.stroke, s.role) for s in self.sources]]
+        given = [(s.name, s.sha256, s.velocity, s.group, s.midi_velocity, s.stroke, s.role) for s in self.sources]
+        inputs = [self.note, given]
         parts = {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
         return parts | ({"prior": _hash(self.prior)} if self.prior else {})
 
@@ -92,7 +94,7 @@ class Job:
         """Text of its `setup.toml`; empty if no values are given."""
         text = self.settings.setup + self.prior
         for s in (source for source in self.sources if source.role == "note"):
-            given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke}
+            given = {"v_H0": s.velocity, "group": s.group, "stroke": s.stroke, "midi_velocity": s.midi_velocity}
             if given := {name: value for name, value in given.items() if value not in (None, "")}:
                 # The text of a JSON value is a TOML value, except for escaped surrogates.
                 values = (f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in ({"file": s.name} | given).items())
@@ -135,7 +137,7 @@ def make_job(key: Key, settings: Settings) -> Job:
             if other.sha256 == digest:
                 same = f"{printable(sample.file)} and {printable(other.path)}"
                 raise RecordingError(f"{same} are the same recording; list it once")
-        given = sample.velocity, sample.group, sample.stroke, sample.layer
+        given = sample.velocity, sample.group, sample.midi_velocity, sample.stroke, sample.layer
         sources.append(Source(str(sample.file), name, digest, *given, *_layout(data), sample.role))
     return Job(key.name, key.note, tuple(sources), settings, versions())
 

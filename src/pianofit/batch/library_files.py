@@ -37,6 +37,7 @@ class Row(NamedTuple):
     v_H0: str = ""  # measured hammer velocity, m/s
     group: str = ""
     role: str = ""
+    midi_velocity: float | None = None  # middle of the range of an SFZ region
 
 
 def first_of(texts: Sequence[str], separator: str = ", ") -> str:

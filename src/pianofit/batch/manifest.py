@@ -20,7 +20,7 @@ from typing import Literal, cast, get_args
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch
-from ..conversions import hertz_of
+from ..conversions import MIDI_VELOCITIES, hertz_of
 from ..errors import AnalysisError, SetupError
 from ..io.files import printable, read_text
 from ..io.number_format import counted
@@ -37,9 +37,7 @@ Role = Literal["note", "damped", "release"]
 _MIDI_VELOCITY = re.compile(r"(?:midi\W*_?)?velocity(?:\W*_?midi\W*)?")
 _MEASURED_VELOCITY = re.compile(r"v_h0\b.*|velocity\W*_?m(?:/|_| )?s(?:\W*|\^?-1\W*)")
 # The remark if velocities are listed without a unit.
-MIDI_VELOCITY_REMARK = (
-    "velocity is read as MIDI velocity and names the layer; give measured hammer velocities, m/s, as v_H0"
-)
+MIDI_VELOCITY_REMARK = "velocity is read as MIDI velocity; give measured hammer velocities, m/s, as v_H0"
 GIVE_PATTERN = "give --pattern, such as '{instrument}-{note}-{layer}.flac', or a manifest"
 MAX_BYTES = 2**24
 MAX_ROWS = 100_000
@@ -53,6 +51,7 @@ class Sample:
     layer: str
     velocity: float | None  # m/s, measured
     group: str  # path group, such as a microphone
+    midi_velocity: float | None = None  # at which the library plays it
     stroke: str = ""  # equal for recordings of one stroke by several microphones
     role: Role = "note"
 
@@ -245,7 +244,17 @@ def _sample(row: Row, base: Path, root: Path) -> Sample:
     if not row.file:
         raise SetupError("the file is empty; name a recording")
     file, layer = find_file(row.file, base, root), f"{row.layer} {velocity}".strip()
-    return Sample(file, layer, _velocity(row.v_H0), row.group, role=_role(row.role))
+    return Sample(file, layer, _velocity(row.v_H0), row.group, _midi_velocity(row), role=_role(row.role))
+
+
+def _midi_velocity(row: Row) -> float | None:
+    """MIDI velocity of a row, or the middle of its range; None for an empty text or another name."""
+    if not row.velocity.isdecimal():
+        return row.midi_velocity
+    value = int(row.velocity)
+    if not MIDI_VELOCITIES[0] <= value <= MIDI_VELOCITIES[1]:
+        raise SetupError(f"velocity {value} is a MIDI velocity and must be from 1 to 127")
+    return float(value)
 
 
 def _role(text: str) -> Role:

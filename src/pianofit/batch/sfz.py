@@ -46,6 +46,7 @@ class _Sample(NamedTuple):
     file: str  # relative to the SFZ file, with slashes
     root: int  # MIDI number
     layer: str
+    midi_velocity: float | None  # middle of its range; None if it sounds at all velocities
 
 
 @dataclass
@@ -101,7 +102,10 @@ def sfz_rows(source: Path, root: Path, transpose: int = 0) -> tuple[list[Row], l
         f"keys with more than {MAX_RECORDINGS} samples, of which {MAX_RECORDINGS} are used": thinned,
         "text that is not UTF-8, read as Windows-1252": [printable(file.name) for file in text.recoded],
     }
-    rows = [Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=s.layer) for s in kept]
+    rows = [
+        Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=s.layer, midi_velocity=s.midi_velocity)
+        for s in kept
+    ]
     return rows, [f"{heading}: {first_of(names)}" for heading, names in lists.items() if names]
 
 
@@ -117,7 +121,9 @@ def _add(library: _Library, number: int, region: dict[str, str], transpose: int)
         return "whose root note is not that of a piano key"
     library.switches |= {region["sw_last"]} if "sw_last" in region else set()
     softest, hardest = _integer(region, "lovel", 1), _integer(region, "hivel", 127)
-    sample = _Sample(number, file, note, f"v{softest:03d}-{hardest:03d} {PurePosixPath(file).with_suffix('')}")
+    layer = f"v{softest:03d}-{hardest:03d} {PurePosixPath(file).with_suffix('')}"
+    middle = 0.5 * (max(softest, 1) + hardest)
+    sample = _Sample(number, file, note, layer, None if softest <= 1 and hardest >= 127 else middle)
     choice = tuple(sorted(item for item in region.items() if _SELECTOR.fullmatch(item[0])))
     library.at_once.setdefault((note, choice), set()).add(file)
     roots = library.samples.setdefault(file, {})

@@ -81,6 +81,7 @@ class FitProblem:
     structure: RecordingStructure
     reference: int  # the recording that sets the string's pitch and whose stroke is reported first
     measured_velocity: tuple[float | None, ...]  # measured velocity of every stroke, m/s
+    midi_velocity: tuple[float | None, ...]  # of every recording, if the setup gives it; no part of F
     velocity_without_file: bool  # whether [fixed] gives the reference's velocity without naming a recording
     # Files of [[recording]] that differ from a recording only in their kind, and that recording.
     unmatched_entries: tuple[tuple[str, str], ...]
@@ -192,6 +193,7 @@ def build_problem(
         structure,
         reference,
         tuple(measured),
+        tuple(entry.midi_velocity for entry in entries),
         unnamed and structure.strokes > 1,
         _unmatched(setup, recordings),
         unknowns,

@@ -22,7 +22,7 @@ from ..excitation import Excitation
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.extras import KeyExtras
-from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit, VelocityCurve
+from ..schema.instrument import KeyboardLaw, KeyValue, Layer, OwnFit, VelocityCurve
 from ..threads import one_blas_thread
 from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
@@ -112,7 +112,7 @@ def build_instrument(
     built = Instrument(
         name,
         dict(sorted((recorded | guessed).items())),
-        fit_velocity_curve([key.summary.velocities for key in keys]),
+        fit_velocity_curve([key.summary.layers for key in keys]),
         laws,
         tuple(_warnings(keys, posterior)),
         float(even),
@@ -123,17 +123,20 @@ def build_instrument(
     return replace(built, release=release, noise=noise_floor(extras, built.channels))
 
 
-def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
-    """Fit one velocity curve to the velocities of each key's layers, ascending, m/s. Single layers are not used.
+def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
+    """Fit one velocity curve to the layers of each key, soft to loud. Keys with one layer are not used.
 
-    The n layers of a key, soft to loud, stand for the middles of n equal parts of the MIDI range, because a library's
-    own mapping is not in its recordings. A weak prior about the default curve stabilises the fit with few layers.
+    A layer stands for its MIDI velocity in the library. If that of a layer is unknown, the n layers of its key stand
+    for the middles of n equal parts of the MIDI range. A weak prior about the default curve stabilises the fit with
+    few layers.
     """
+    strokes = [list(dict.fromkeys((layer.midi_velocity, layer.velocity) for layer in layers)) for layers in keys]
+    strokes = [layers for layers in strokes if len(layers) > 1]
+    is_known = [all(midi is not None for midi, _ in layers) for layers in strokes]
     points = [
-        (127 * (i + 0.5) / len(layers), math.log(v))
-        for layers in velocities
-        if len(layers) > 1
-        for i, v in enumerate(layers)
+        (midi if known and midi is not None else 127 * (i + 0.5) / len(layers), math.log(v))
+        for layers, known in zip(strokes, is_known, strict=True)
+        for i, (midi, v) in enumerate(layers)
     ]
     if not points:
         return VelocityCurve()
@@ -143,8 +146,10 @@ def fit_velocity_curve(velocities: Sequence[Sequence[float]]) -> VelocityCurve:
     total = precision + rows.T @ rows / LAYER_SD**2
     weighted = precision @ [math.log(prior.at_64), prior.rise] + rows.T @ log_v / LAYER_SD**2
     middle, rise = np.linalg.solve(total, weighted)
-    layers = tuple((m, math.exp(v)) for m, v in points)
-    return VelocityCurve(math.exp(middle), max(float(rise), LEAST_RISE), "layers", layers)
+    source = "midi-velocities" if any(is_known) else "layers"
+    return VelocityCurve(
+        math.exp(middle), max(float(rise), LEAST_RISE), source, tuple((m, math.exp(v)) for m, v in points)
+    )
 
 
 def reference_values(keys: Sequence[KeyFit], at: Sequence[int]) -> np.ndarray:

@@ -317,7 +317,7 @@ def _layers(fit: Fit, sizes: Mapping[int, float]) -> tuple[Layer, ...]:
     entries = () if fit.modal_response is None else fit.modal_response.layers
     delay = {entry.file: entry.contact_s for entry in entries}
     layers = [
-        Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), sizes[i])
+        Layer(r.file, r.sha256, r.onset_s + delay.get(r.file, 0.0), sizes[i], r.midi_velocity)
         for i, r in enumerate(fit.recordings)
         if i in sizes
     ]

@@ -107,6 +107,7 @@ def _records(
             pitch_offset_cents=cents_above(recording.analysis.f0, f0),
             path_group=group,
             stroke=stroke,
+            midi_velocity=problem.midi_velocity[i],
         )
         for i, (recording, stroke, group) in enumerate(zip(recordings, layout.stroke, layout.group, strict=True))
     )
@@ -195,6 +196,7 @@ def record_of(
     pitch_offset_cents: float = 0.0,
     path_group: int = 0,
     stroke: int = 0,
+    midi_velocity: float | None = None,
 ) -> RecordingFit:
     """The record of one recording; `velocity` is that of its stroke."""
     source, table = fitted.recording, fitted.partials
@@ -220,6 +222,7 @@ def record_of(
         partials=PartialLevels(
             table.number, fitted.level, table.level_error, fitted.initial.level, fitted.fitted.level
         ),
+        midi_velocity=midi_velocity,
     )
 
 

@@ -189,6 +189,7 @@ class RecordingFit(NoteRecording):
     criterion: Criterion
     levels: LevelErrors
     partials: PartialLevels
+    midi_velocity: Number | None = None  # of the layer in its library, if the setup gives it
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,8 @@ class VelocityCurve:
 
     at_64: HammerVelocity = 1.3  # m/s
     rise: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.5  # of the logarithm, from 64 to 127
-    source: Literal["layers", "default", "page"] = "default"
+    # `midi-velocities` if the library gave those of some layers, `layers` if their order alone was known.
+    source: Literal["midi-velocities", "layers", "default", "page"] = "default"
     layers: tuple[tuple[Number, Number], ...] = ()  # MIDI velocity and hammer velocity of each recorded layer
 
     def at(self, midi_velocity: float) -> float:
@@ -105,6 +106,7 @@ class Layer:
     sha256: str  # of its bytes
     contact: ContactTime  # time at which the hammer touches the string, s
     velocity: HammerVelocity  # or the force of a pluck, N
+    midi_velocity: Number | None = None  # at which the library plays it, if known
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,7 @@ def _velocity_contradictions(setup: Setup) -> Iterator[str]:
 def _stroke_contradictions(setup: Setup) -> Iterator[str]:
     """Strokes with two velocities, or with two recordings through one output path."""
     observed: dict[tuple[str, str | None], int] = {}
-    velocities: dict[str, float] = {}
+    velocities: dict[tuple[str, str], float] = {}
     for number, recording in enumerate(setup.recordings, 1):
         if recording.stroke is None:
             continue
@@ -137,6 +137,8 @@ def _stroke_contradictions(setup: Setup) -> Iterator[str]:
                 f"{entry} is also the stroke of [[recording]] {other}, and {group}; a microphone records a stroke "
                 "once: give each its own group, or another stroke"
             )
-        velocity = recording.v_H0
-        if velocity is not None and (first := velocities.setdefault(recording.stroke, velocity)) != velocity:
-            yield f"{entry} has v_H0 = {velocity:g} and {first:g}; one stroke has one velocity: correct one of them"
+        for name in ("v_H0", "midi_velocity"):
+            velocity = getattr(recording, name)
+            if velocity is None or (first := velocities.setdefault((recording.stroke, name), velocity)) == velocity:
+                continue
+            yield f"{entry} has {name} = {velocity:g} and {first:g}; one stroke has one velocity: correct one of them"

@@ -16,6 +16,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from ..conversions import MIDI_VELOCITIES
 from ..errors import ParameterError, SetupError, check_type
 from ..excitation import HAMMER, NAMES, OTHERS, Excitation
 from ..felt import ALL_PARAMETERS, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
@@ -69,6 +70,7 @@ class RecordingInfo:
     group: str | None = None  # path group: its recordings share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
     stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
+    midi_velocity: float | None = None  # 1 to 127, of the layer in its library; no part of the fit
 
     def __repr__(self) -> str:
         return filled(self)
@@ -386,6 +388,8 @@ def _recording_info(entry: object, number: int) -> RecordingInfo:
     for key, value in table.items():
         if key == "v_H0":
             table[key] = _given_parameter(value, key, where, ALL_PARAMETERS[key])
+        elif key == "midi_velocity":
+            table[key] = _number(value, key, *MIDI_VELOCITIES, "1", where)
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
