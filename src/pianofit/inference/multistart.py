@@ -25,15 +25,15 @@ from .parametrisation import STRING_SIZE, Parametrisation
 from .problem import FitProblem, brightness
 
 # Samples of the prior's hammers: a power of two, as Sobol points require.
-SAMPLES = 512
+SAMPLES = 1024
 # Probability at each end of a prior that is not sampled.
 TAIL = 0.01
 # Initial σ, the excess of levels, dB; A, ℓ and η start at their priors.
 WIDE_EXCESS = 2.0
 # Number of candidates of every answer about gains that continue at wide φ, and their steps;
-FIRST, FIRST_STEPS = 48, 4
+FIRST, FIRST_STEPS = 96, 4
 # then how many continue, for how many steps, with σ above this, dB;
-SECOND, SECOND_STEPS, SECOND_FLOOR = 12, 6, 1.0
+SECOND, SECOND_STEPS, SECOND_FLOOR = 24, 6, 1.0
 # and to the end, in so many steps, all within this of the lowest F. These are few for a note with many partials, and
 # many in the treble, where hammers are distinguished least and cost least.
 NEAR, LAST_STEPS = 10.0, 25
@@ -45,7 +45,7 @@ GAIN = 0.5
 # Maximum number of rounds,
 ROUNDS = 8
 # restarts of each,
-RESTARTS = 4
+RESTARTS = 8
 # their largest distance, in the prior's standard deviations, within the reach of a minimisation,
 REACH = 0.3
 # and in standard deviations of the quadratic approximation. F of a clean recording has ripples along a ridge that is
