@@ -50,6 +50,14 @@ def file(session, tmp_path_factory) -> Path:
     return path
 
 
+def test_a_click_at_the_very_end_is_a_short_stroke():
+    """Its step is incomplete."""
+    sound = 1e-5 * np.random.default_rng(0).normal(size=(1, 2 * RATE + 200))
+    sound[0, -100:] += 0.3
+    (stroke,) = find_strokes(sound, RATE)
+    assert "lasts" in stroke.doubt or "no pitch" in stroke.doubt
+
+
 def test_all_strokes_are_found_and_named(session):
     samples, truth = session
     found = find_strokes(samples, RATE)

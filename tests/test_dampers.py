@@ -125,6 +125,12 @@ def test_noise_has_the_spectrum_and_level_of_its_recording():
     assert noise_floor([KeyExtras(midi=60)], 1) is None
 
 
+def test_the_shortest_recording_has_a_noise_floor():
+    x = np.random.default_rng(3).normal(size=round(0.09 * RATE))
+    density = noise_density(pianofit.recording_from_samples(1e-3 * x, RATE))
+    assert np.median(density[0, FREQUENCIES < 0.45 * RATE]) == pytest.approx(2e-6 / RATE, rel=0.5)
+
+
 def test_a_release_is_louder_when_faster_and_after_a_longer_note():
     sounds = {60: np.ones((2, 100)), 64: 0.1 * np.ones((2, 100))}
     release = ReleaseNoise(sounds, 48_000)

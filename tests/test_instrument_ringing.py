@@ -265,3 +265,14 @@ def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(fi
     assert min(alike[0, 2], alike[1, 3]) > 0.999
     assert alike[0, 1] < 0.9
     assert soundfile.info(tmp_path / "out" / "samples" / "079-G5-v127.wav").channels == 1
+
+
+def test_a_key_without_a_knock_takes_none_from_the_others():
+    """One fit can have modes alone. Unrecorded keys then follow the knocks of the other keys."""
+    keys, wanted = [alike(midi) for midi in (26, 30, 34)], alike(28)
+    bare = keys[1].note._replace(modal_response=keys[1].note.modal_response.without_knock())
+    others, mixed = (
+        guess_response(wanted.note, 28, wanted.law, measure_fields(known)).knock
+        for known in ([keys[0], keys[2]], [keys[0], replace(keys[1], note=bare), keys[2]])
+    )
+    assert np.sum(mixed**2) == pytest.approx(np.sum(others**2), rel=0.2)

@@ -27,7 +27,7 @@ def noise_density(recording: Recording) -> np.ndarray:
     """
     rate = recording.rate
     silence = recording.frames[:, : max(recording.onset - round(GAP * rate), 0)]
-    length = round(SEGMENT * rate)
+    length = min(round(SEGMENT * rate), recording.frames.shape[-1])
     if silence.shape[-1] < LEAST_SILENCE * rate or np.ptp(silence) == 0:
         silence = _quietest_second(recording.frames, rate)
     starts = range(0, silence.shape[-1] - length + 1, length // 2)

@@ -126,7 +126,8 @@ def _refined(mono: np.ndarray, rate: int, near: int) -> int:
 def _end(levels: np.ndarray, noise: np.ndarray, rate: int, onset: int, limit: int) -> int:
     """Sample at which all bands have fallen to the noise, at most `limit`. Levels are means over `SILENT_FOR`."""
     step, span = round(STEP * rate), round(SILENT_FOR / STEP)
-    sums = np.cumsum(np.pad(levels[onset // step : limit // step], ((1, span), (0, 0)), mode="edge"), axis=0)
+    first = onset // step  # the last step of a file can be incomplete
+    sums = np.cumsum(np.pad(levels[first : max(limit // step, first + 1)], ((1, span), (0, 0)), mode="edge"), axis=0)
     loud = ((sums[span:-1] - sums[: -span - 1]) / span > noise).any(axis=1)
     last = int(np.flatnonzero(loud)[-1]) + 1 if loud.any() else 0
     return min(onset + max(last, 1) * step + round(FRAME * rate), limit)

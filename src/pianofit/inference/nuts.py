@@ -12,6 +12,7 @@ reflects too.
 
 from __future__ import annotations
 
+import math
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -173,8 +174,8 @@ def _convergence_diagnostics(names: dict[str, int], logs: np.ndarray) -> dict[st
 
 
 def _messages(convergence: dict[str, dict[str, float]], divergences: int) -> list[str]:
-    messages, rhat = [], max(x["rhat"] for x in convergence.values())
-    ess = min(min(x["ess_bulk"], x["ess_tail"]) for x in convergence.values())
+    messages, rhat = [], max((x["rhat"] for x in convergence.values()), default=1.0)
+    ess = min((min(x["ess_bulk"], x["ess_tail"]) for x in convergence.values()), default=math.inf)
     if not rhat <= MOST_RHAT:
         messages.append(f"The chains have not mixed (R-hat {rhat:.3f}). Do not use the posterior intervals.")
     if not ess >= LEAST_ESS:

@@ -75,11 +75,12 @@ def profiles(problem: FitProblem, estimate: Estimate) -> IntervalResult:
 
 def _messages(lower: dict[str, float]) -> list[str]:
     names = [name for name, by in lower.items() if by > 0.5]  # or else it is the same minimum
-    message = (
+    if not names:
+        return []
+    return [
         f"The profile of {', '.join(names)} found F lower by {max(lower.values()):.2g} than the fit: the search missed "
         "the lowest minimum. Try another seed."
-    )
-    return [message] * bool(names)
+    ]
 
 
 class _Profile:

@@ -59,15 +59,17 @@ def static_part(response: ModalResponse) -> np.ndarray:
 def measure_knocks(
     keys: np.ndarray, responses: list[ModalResponse], gains: np.ndarray, channels: int
 ) -> KnockFields | None:
-    """Measure the knocks of recorded keys; None if none has a knock.
+    """Measure the knocks of the recorded keys that have one; None if none has.
 
     Parameters
     ----------
     gains : gain of each key times the force of its own hammer over that of the laws [keys].
     channels : number of channels of the instrument.
     """
-    if not all(response.knock.shape[-1] for response in responses):
+    with_knock = [i for i, response in enumerate(responses) if response.knock.shape[-1]]
+    if not with_knock:
         return None
+    keys, gains, responses = keys[with_knock], gains[with_knock], [responses[i] for i in with_knock]
     rate = max(response.rate for response in responses)
     rest = []
     for response, gain in zip(responses, gains, strict=True):
