@@ -4,7 +4,8 @@
     python benchmarks/all.py [WORD...] [--set NAME=VALUE...] [--list] [--out build/benchmarks] [--times]
 
 The commands are those of the tables on that page, which is their only list. A WORD keeps the commands that contain
-it. Names in capitals, such as INSTRUMENT.JSON or FITS, are replaced by `--set INSTRUMENT.JSON=path`. Commands with a
+it. Names in capitals, such as INSTRUMENT.JSON or FITS, are replaced by `--set INSTRUMENT.JSON=path`; a name with dots,
+such as RECORDINGS..., by several words. Commands with a
 name that has no value are skipped and listed. The output of each goes to a file with the commit, the machine, the load
 and the time that it took. `--times` writes commit and time into the last column of the page as well.
 """
@@ -38,12 +39,20 @@ def commands(words: list[str], values: dict[str, str]) -> tuple[dict[str, list[s
     for text in COMMAND.findall(PAGE.read_text(encoding="utf-8")):
         if words and not any(word in text for word in words):
             continue
-        parts = [values.get(part.removesuffix("..."), part) for part in shlex.split(text)]
+        parts = [word for part in shlex.split(text) for word in _words(part, values)]
         if any(NAME.match(part) for part in parts):
             lacking.append(text)
         else:
             ready[text] = [sys.executable, *parts[1:]]
     return ready, lacking
+
+
+def _words(part: str, values: dict[str, str]) -> list[str]:
+    """Return a part of a command, or the value of a name. NAME... takes several words."""
+    name = part.removesuffix("...")
+    if name == part or name not in values:
+        return [values.get(name, part)]
+    return shlex.split(values[name])
 
 
 def origin() -> str:
