@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ..conversions import MIDI_VELOCITIES
 from ..errors import FitError, PianofitError
 from ..io.files import json_text, printable, read_file, short_repr
 from ..io.number_format import LARGEST
@@ -24,6 +25,7 @@ from ..io.number_format import LARGEST
 T = TypeVar("T")
 # A finite number that can be squared without overflow.
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+MidiVelocity = Annotated[float, Meta(ge=MIDI_VELOCITIES[0], le=MIDI_VELOCITIES[1])]
 
 
 # Words of a user for the names of types in the messages of msgspec.

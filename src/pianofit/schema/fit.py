@@ -25,7 +25,7 @@ from ..io.audio import RATES
 from ..io.files import path_name, printable, replace_paths, short_repr
 from ..key_prior import KeyPrior
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from .decode import Number, convert, load_json
+from .decode import MidiVelocity, Number, convert, load_json
 from .derived import Derived
 from .diagnostics import Diagnostics
 from .modal_response import FittedModalResponse
@@ -189,7 +189,7 @@ class RecordingFit(NoteRecording):
     criterion: Criterion
     levels: LevelErrors
     partials: PartialLevels
-    midi_velocity: Number | None = None  # of the layer in its library, if the setup gives it
+    midi_velocity: MidiVelocity | None = None  # of the layer in its library, if the setup gives it
 
 
 @dataclass(frozen=True)

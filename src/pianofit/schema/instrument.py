@@ -20,7 +20,7 @@ from ..io.files import printable
 from ..parameters import PARAMETERS
 from .bridge import BridgeAdmittance
 from .dampers import Dampers
-from .decode import Number, convert, load_json
+from .decode import MidiVelocity, Number, convert, load_json
 from .extras import KeyNumber, NoiseEntry, SoundEntry
 from .fit import ExcitationName, PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
@@ -106,7 +106,7 @@ class Layer:
     sha256: str  # of its bytes
     contact: ContactTime  # time at which the hammer touches the string, s
     velocity: HammerVelocity  # or the force of a pluck, N
-    midi_velocity: Number | None = None  # at which the library plays it, if known
+    midi_velocity: MidiVelocity | None = None  # at which the library plays it, if known
 
 
 @dataclass(frozen=True)
