@@ -34,9 +34,10 @@ COLUMNS = ("as it is", "one pattern", "poles", "amplitudes")
 
 def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[str, tuple[float, float, float]]:
     """Return envelope error, shape error and distance, dB, of the left-out layer, by column."""
-    from pianofit.modal_response import AlignedLayers, align_layers, estimate_shared_response, modes_of
+    from pianofit.modal_response.aligned_layers import AlignedLayers, align_layers
     from pianofit.modal_response.model_selection import _layers, _of_layers
-    from pianofit.modal_response.modes import synthesise
+    from pianofit.modal_response.modes import modes_of, synthesise
+    from pianofit.modal_response.shared_response import estimate_shared_response
 
     result, out = fit.result, fit.out
     layers, note = _layers(result), left.note()

@@ -54,7 +54,7 @@ def steps(values: np.ndarray, recorded: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def main() -> None:
     """Print the table."""
-    from pianofit.analysis import note_to_midi
+    from pianofit.analysis.note_names import note_to_midi
     from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

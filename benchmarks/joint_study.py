@@ -36,7 +36,7 @@ COLUMNS = ("recorded", "alone", "joint", "complete", "own")
 
 def chosen_keys(folder: Path, prefix: str | None, count: int) -> dict[str, tuple[str, list[Path]]]:
     """Note and files of some keys of one instrument, spread over its range."""
-    from pianofit.analysis import note_to_midi
+    from pianofit.analysis.note_names import note_to_midi
 
     found = {key: (note, files) for key, (note, files, _) in notes(folder).items()}
     found = {key: own for key, own in found.items() if prefix is None or key.startswith(f"{prefix}-")}
@@ -101,7 +101,7 @@ def fitted_over_loudest(complete: Mapping[str, Result], fitted: Mapping[str, int
 def main() -> None:
     """Print the table."""
     from pianofit import Setup, analyse, fit, load_recording, prior_of_key
-    from pianofit.analysis import note_to_midi
+    from pianofit.analysis.note_names import note_to_midi
     from pianofit.program_folder import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

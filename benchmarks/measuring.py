@@ -14,7 +14,11 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pianofit.model.modal_response import ModalResponse
+    from pianofit.result import Result
 
 COMMAND = "from pianofit.cli import run; run()"
 # Seconds and the largest memory of a process, in the system's unit.
@@ -123,3 +127,20 @@ def into_page(page: Path, mark: str, lines: list[str]) -> None:
         sys.exit(f"{page}: no <!-- {mark} --> and <!-- end of {mark} --> in it; write both where the table belongs")
     block = "\n".join(line.rstrip() for line in lines)
     page.write_text(f"{before}<!-- {mark} -->\n{block}\n{end}{after}", encoding="utf-8")
+
+
+def modal_response_of(result: Result) -> ModalResponse | None:
+    """Return modes and knock of a fitted key, as in the result's note, whether or not they improve the prediction.
+
+    None if no partial exceeds the noise long enough for its modes.
+    """
+    from pianofit.modal_response.model_selection import _layers
+    from pianofit.modal_response.shared_response import estimate_shared_response
+    from pianofit.threads import one_blas_thread
+
+    with one_blas_thread():
+        layers = _layers(result)
+        modes = layers.modes()
+        if not modes:
+            return None
+        return estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain).response

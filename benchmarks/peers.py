@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import realism
-from measuring import into_page
+from measuring import into_page, modal_response_of
 from scipy import signal
 
 FOLDER = Path(__file__).parents[2] / "shared" / "disklavier"
@@ -100,7 +100,6 @@ def strokes(key: str) -> Iterator[tuple[str, Target, list[Made]]]:
 def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tuple[str, int] | None = None) -> Made:
     """A stroke as pianofit plays it from others; `steps`: at so many MIDI steps from a layer, or else as it was hit."""
     from pianofit import RecordingInfo, Setup, fit
-    from pianofit.modal_response import modal_response_of
     from pianofit.model.modal_response import force_pulse
 
     layers = tuple(RecordingInfo(file=Path(heard[name].path).name, gain_group="machine") for name in by)

@@ -141,7 +141,7 @@ def fitted(note: str, files: list[Path], setup: Setup, layer: int | None = None)
 
 def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
     """Return the prediction of the left-out layer from the others, at `velocity`, m/s, or at the prediction's."""
-    from pianofit.modal_response import modal_response_of
+    from measuring import modal_response_of
 
     recordings, analyses, out, result = fit
     played = result.predict(analyses[out]).note

@@ -85,7 +85,8 @@ def draw(seed: int) -> Drawn:
 def found(drawn: Drawn):
     """Return the modes of all partials by number. Frequencies and glide are given, in place of an analysis."""
     from pianofit.analysis.glide import PitchGlide
-    from pianofit.modal_response import align_layers, modes_of
+    from pianofit.modal_response.aligned_layers import align_layers
+    from pianofit.modal_response.modes import modes_of
     from pianofit.recording.recording import recording_from_samples
 
     number = np.arange(1, PARTIALS + 1)
@@ -156,7 +157,8 @@ def take_time(key: str) -> None:
     import crossval
 
     from pianofit import analyse, load_recording
-    from pianofit.modal_response import align_layers, modes_of
+    from pianofit.modal_response.aligned_layers import align_layers
+    from pianofit.modal_response.modes import modes_of
     from pianofit.threads import one_blas_thread
 
     keys = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}

@@ -29,8 +29,9 @@ from scipy.linalg import helmert
 
 from pianofit import Recording, analyse
 from pianofit.dsp.common_poles import Signals, fit_amplitudes
-from pianofit.modal_response import PartialModes, align_layers, modes_of, partial_band
-from pianofit.modal_response.modes import SLOWEST, common_pattern, synthesise
+from pianofit.modal_response import partial_band
+from pianofit.modal_response.aligned_layers import align_layers
+from pianofit.modal_response.modes import SLOWEST, PartialModes, common_pattern, modes_of, synthesise
 from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.threads import one_blas_thread
 

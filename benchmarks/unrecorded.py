@@ -58,7 +58,7 @@ def k_level(tool: Any, sound: np.ndarray) -> float:
 
 def main() -> None:
     """Print the table."""
-    from pianofit.analysis import note_to_midi
+    from pianofit.analysis.note_names import note_to_midi
     from pianofit.instrument import build_instrument, find_fits, load_keys
     from pianofit.program_folder import enable_program_cache
 

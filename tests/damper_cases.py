@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import midi_to_note
 from pianofit.literature import typical
 from pianofit.model.modes import mode_frequencies
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import midi_to_note
 from pianofit.instrument import Instrument, Key
 from pianofit.instrument.files import instrument_record
 from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities

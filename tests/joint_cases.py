@@ -11,7 +11,7 @@ from pathlib import Path
 from batch_cases import quick_work
 from instrument_cases import ERRORS, fit_document, true_note
 
-from pianofit.analysis import note_to_midi
+from pianofit.analysis.note_names import note_to_midi
 from pianofit.batch.fit_job import JobResult
 from pianofit.batch.job import Job
 

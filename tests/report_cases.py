@@ -21,8 +21,9 @@ from pianofit.model.output_path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.recording.recording import Recording
 from pianofit.report.page import draw_figures
-from pianofit.result import FittedRecording, RenderedFit, Result
+from pianofit.result import FittedRecording, Result
 from pianofit.result.cross_validation import CrossValidation, LeftOutRecording
+from pianofit.result.fitted_recording import RenderedFit
 from pianofit.schema.decode import builtins_of, convert
 from pianofit.schema.fit import Criterion, Fit, LevelErrors
 from pianofit.schema.modal_response import FittedModalResponse

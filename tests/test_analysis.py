@@ -17,14 +17,12 @@ from pianofit.analysis import (
     analysis_to_dict,
     hz_to_note,
     law_frequency,
-    midi_to_note,
-    note_to_hz,
-    note_to_midi,
     partial_rows,
 )
 from pianofit.analysis.baseband_fit import fit_bands, measure_levels
 from pianofit.analysis.glide import glide_detected
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
+from pianofit.analysis.note_names import midi_to_note, note_to_hz, note_to_midi
 from pianofit.dsp.bands import kaiser_bands
 from pianofit.dsp.level import energy_level
 from pianofit.errors import AnalysisError, RecordingError

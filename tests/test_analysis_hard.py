@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import pianofit
-from pianofit.analysis import Analysis, analyse, law_frequency, note_to_hz
+from pianofit.analysis import Analysis, analyse, law_frequency
 from pianofit.analysis.baseband_fit import fit_bands
 from pianofit.analysis.inharmonicity import B_RANGE, frequency_law
+from pianofit.analysis.note_names import note_to_hz
 from pianofit.analysis.second_stroke import detect_second_stroke
 from pianofit.dsp.bands import Bands
 from pianofit.errors import AnalysisError, WrongNoteError

@@ -16,7 +16,8 @@ from pianofit.model import simulate
 from pianofit.model.modal_response import ModalResponse
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
-from pianofit.playback import PlayOptions, Song, limit, render_song
+from pianofit.playback import PlayOptions, Song, render_song
+from pianofit.playback.song import limit
 from pianofit.playback.voice import StringVoice
 
 RATE = 48_000

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from instrument_cases import ERRORS, library, true_instrument, true_note
 
-from pianofit.analysis import midi_to_note
-from pianofit.analysis.note_names import parse_keys
+from pianofit.analysis.note_names import midi_to_note, parse_keys
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler

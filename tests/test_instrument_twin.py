@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from instrument_cases import law_errors, record_key
 
-from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import midi_to_note
 from pianofit.fitting import fit
 from pianofit.instrument import Instrument, build_instrument, find_fits, load_keys
 

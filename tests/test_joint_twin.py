@@ -10,7 +10,7 @@ import pytest
 from instrument_cases import record_key, true_note
 
 from pianofit import Result, Setup, fit, load_keys, prior_of_key
-from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import midi_to_note
 from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities
 from pianofit.instrument.predicted_key import NAMES, _at_scale
 from pianofit.model.note import Note

@@ -14,7 +14,7 @@ from page_cases import BLOCK, RATE, STEP, early, error_db, page_job, play, ringi
 
 import pianofit
 from pianofit import FitError, Geometry, Instrument, Key, Note, ParameterError, Pluck, String
-from pianofit.analysis import midi_to_note
+from pianofit.analysis.note_names import midi_to_note
 from pianofit.dataset.source import load_source
 from pianofit.excitation import PLUCK
 from pianofit.export.modal_json import write_modal_json

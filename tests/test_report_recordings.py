@@ -46,7 +46,8 @@ from pianofit.report.identifiability import (
 from pianofit.report.page import _slider, report_bytes, strokes_of
 from pianofit.report.sound import make_clips
 from pianofit.report.static_law import StaticLaw, _loop, draw_felt, static_law
-from pianofit.result import RenderedFit, Result
+from pianofit.result import Result
+from pianofit.result.fitted_recording import RenderedFit
 from pianofit.schema.quantities import Covariance
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"

@@ -16,14 +16,10 @@ from pianofit.dsp.bands import Bands, hann_band
 from pianofit.dsp.common_poles import Signals, poles_by_subspace, refine_poles, standard_errors
 from pianofit.dsp.damped_sums import sum_damped_modes
 from pianofit.io.files import encode_wav
-from pianofit.modal_response import (
-    AlignedLayers,
-    PartialModes,
-    align_layers,
-    estimate_shared_response,
-    modes_of,
-    shared_response,
-)
+from pianofit.modal_response import shared_response
+from pianofit.modal_response.aligned_layers import AlignedLayers, align_layers
+from pianofit.modal_response.modes import PartialModes, modes_of
+from pianofit.modal_response.shared_response import estimate_shared_response
 from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.model.modal_response import (
     KNOCK_SECONDS,

@@ -9,7 +9,8 @@ import pytest
 from coupled_strings import KAPPA, LENGTH, LOSS, POINTS, Unison, stroke
 
 from pianofit.analysis import analyse
-from pianofit.modal_response import PartialModes, align_layers, modes_of
+from pianofit.modal_response.aligned_layers import align_layers
+from pianofit.modal_response.modes import PartialModes, modes_of
 from pianofit.recording.recording import recording_from_samples
 
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0

@@ -3,7 +3,7 @@
 from .analyse import analyse, check_analyses
 from .analysis_result import COLUMNS, Analysis, Partials, analysis_to_dict, partial_rows
 from .inharmonicity import law_frequency
-from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, midi_to_note, nearest_note, note_to_hz, note_to_midi
+from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, nearest_note
 from .warnings import beating_warning, count_beating
 
 __all__ = [
@@ -19,9 +19,6 @@ __all__ = [
     "check_analyses",
     "hz_to_note",
     "law_frequency",
-    "midi_to_note",
     "nearest_note",
-    "note_to_hz",
-    "note_to_midi",
     "partial_rows",
 ]

@@ -8,19 +8,7 @@
 layers that are left out.
 """
 
-from .aligned_layers import AlignedLayers, align_layers, partial_band
-from .model_selection import fit_modal_response, modal_response_of
-from .modes import PartialModes, modes_of
-from .shared_response import SharedResponse, estimate_shared_response
+from .aligned_layers import partial_band
+from .model_selection import fit_modal_response
 
-__all__ = [
-    "AlignedLayers",
-    "PartialModes",
-    "SharedResponse",
-    "align_layers",
-    "estimate_shared_response",
-    "fit_modal_response",
-    "modal_response_of",
-    "modes_of",
-    "partial_band",
-]
+__all__ = ["fit_modal_response", "partial_band"]

@@ -61,19 +61,6 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
     return _attached(result, layers, response, best, distances)
 
 
-@one_blas_thread()
-def modal_response_of(result: Result) -> ModalResponse | None:
-    """Modes and knock of a fitted key, as in the result's note, whether or not they improve the prediction.
-
-    None if no partial exceeds the noise long enough for its modes.
-    """
-    layers = _layers(result)
-    modes = layers.modes()
-    if not modes:
-        return None
-    return estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain).response
-
-
 def _layers(result: Result) -> _LayerGroup:
     place = result.fit.path_groups[result.fit.reference.path_group]
     note_of = _notes(result, place)

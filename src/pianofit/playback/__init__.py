@@ -2,6 +2,6 @@
 
 from .midi import Song, load_song
 from .pedals import PedalRange
-from .song import Performance, PlayOptions, limit, render_song
+from .song import Performance, PlayOptions, render_song
 
-__all__ = ["PedalRange", "Performance", "PlayOptions", "Song", "limit", "load_song", "render_song"]
+__all__ = ["PedalRange", "Performance", "PlayOptions", "Song", "load_song", "render_song"]
