@@ -21,10 +21,8 @@ from .numbering import number_partials
 from .partials import LEAST_SNR, measure_partials
 from .pitch import find_pitch
 from .second_stroke import detect_second_stroke
-from .spectrum import noise_between, spectrum
+from .spectrum import highest_partial, noise_between
 from .warnings import analysis_warnings
-
-_TOP = 12000.0  # Hz, highest frequency searched for partials
 
 
 def analyse(recording: Source, *, note: str | int | None = None, f0: float | None = None) -> Analysis:
@@ -61,9 +59,8 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: 20 * rate]  # the end adds no information
     seconds = len(samples) / rate
-    top = min(0.45 * rate, _TOP)
     try:
-        rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)
+        rough_f0, rough_B = find_pitch(samples, rate, note=note, f0=f0)
     except AnalysisError as error:
         raise type(error)("; ".join((f"{recording.path}: {error}", *recording.warnings))) from None
     if seconds * rough_f0 < 10:
@@ -71,10 +68,9 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
             f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "
             f"give {10 / rough_f0:.2f} s or more"
         )
-    resolved = spectrum(samples, rate, float(np.clip(30 / rough_f0, 0.15, 1.0)))
-    number, frequency, law = number_partials(resolved, rough_f0, rough_B, top=top)
+    number, frequency, law = number_partials(samples, rate, rough_f0, rough_B)
     _check_partials(recording.path, number, law, note, f0)
-    return _measure_all(recording, samples, number, frequency, law, note, top)
+    return _measure_all(recording, samples, number, frequency, law, note)
 
 
 def check_analyses(analyses: Sequence[Analysis] | None, count: int) -> None:
@@ -108,7 +104,6 @@ def _measure_all(
     frequency: np.ndarray,
     law: FrequencyLaw,
     note: str | int | None,
-    top: float,
 ) -> Analysis:
     """Measure the partials `number` at `frequency` (Hz) [partials] near the rough `law`, and fit the laws."""
     skip = min(0.005, 0.05 * (len(samples) / recording.rate))  # s; the contact has ended by then, or nearly
@@ -130,7 +125,7 @@ def _measure_all(
         fitted = fitted.select(keep)
         table, level_law = measure_partials(number[keep], fitted, glides)
     refined, losses = _laws(table, law.B)
-    absent = _absent(table.number, refined, top)
+    absent = _absent(table.number, refined, highest_partial(recording.rate))
     absent_frequency = _expected_frequencies(refined, table.number, table.frequency, absent)
     bound = absent_level_bounds(samples, recording.rate, absent_frequency, losses(absent), refined.f0, skip)
     table = replace(table, absent=absent, absent_bound=bound)

@@ -23,10 +23,9 @@ from ..recording.recording import Source, to_recording
 from .note_names import note_to_hz
 from .numbering import number_partials
 from .pitch import find_pitch
-from .spectrum import noise_between, spectrum
+from .spectrum import noise_between
 
-# Highest frequency of a partial, Hz, and the largest width of a band: as in an analysis.
-TOP, WIDEST = 12_000.0, 100.0
+WIDEST = 100.0  # Hz, largest width of a band
 # Spans of the envelope around a possible release in the search for it, s, and before the release in its fit. Longer
 # ones show more of the beats; a note is seldom held for longer.
 SEARCH_BEFORE, SEARCH_AFTER, BEFORE = 0.3, 0.2, 1.0
@@ -117,10 +116,8 @@ def fit_damper(recording: Source, note: str) -> DamperFit:
 
 def _bands(samples: np.ndarray, rate: int, note: str) -> tuple[Bands, np.ndarray, float]:
     """Bands of the partials, the noise variance of their frames [partials], and the lowest partial, Hz."""
-    top = min(0.45 * rate, TOP)
-    f0, B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=None)
-    resolved = spectrum(samples, rate, float(np.clip(30 / f0, 0.15, 1.0)))
-    number, frequency, law = number_partials(resolved, f0, B, top=top)
+    f0, B = find_pitch(samples, rate, note=note)
+    number, frequency, law = number_partials(samples, rate, f0, B)
     if len(number) < FEWEST_PARTIALS or len(samples) / rate * f0 < 10:
         raise AnalysisError(f"only {len(number)} partials of {note} ({note_to_hz(note):.1f} Hz); check the note")
     bands = kaiser_bands(samples, rate, frequency, min(0.97 * law.f0, WIDEST), 0.005)

@@ -18,7 +18,7 @@ import numpy as np
 from ..conversions import CENTS
 from .inharmonicity import B_RANGE, NEIGHBOURS, FrequencyLaw, frequency_law, law_frequency, median_line
 from .pitch import CLEAR, typical_B
-from .spectrum import Spectrum
+from .spectrum import Spectrum, highest_partial, spectrum
 
 _STAGES = (16, 20, 27, 36, 48, 64, 82, 100)  # numbers up to which partials are collected
 _MIN_HEIGHT = 3.0  # dB above the floor, of a peak that is not noise
@@ -29,8 +29,9 @@ _MIN_GAIN = 20.0  # dB of additionally explained peaks needed to change B; noise
 _Numbering = tuple[float, np.ndarray, np.ndarray, FrequencyLaw]  # merit, k [partials], Hz [partials], law
 
 
-def number_partials(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarray, np.ndarray, FrequencyLaw]:
-    """Number the peaks of `spec`: k [partials], their frequencies (Hz), and the frequency law fitted to them."""
+def number_partials(samples: np.ndarray, rate: int, f0: float, B: float) -> tuple[np.ndarray, np.ndarray, FrequencyLaw]:
+    """Number the peaks of a note of this rough pitch: k [partials], frequencies (Hz), and the law fitted to them."""
+    spec, top = spectrum(samples, rate, float(np.clip(30 / f0, 0.15, 1.0))), highest_partial(rate)
     _, number, frequency, law = _best_numbering(spec, f0, B, top)
     if law(_TREBLE_PARTIALS) < top or not len(number) or number[0] != 1:
         return number, frequency, law

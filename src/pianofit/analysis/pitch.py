@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import AnalysisError, WrongNoteError, check_type
 from .inharmonicity import B_RANGE, law_frequency
 from .note_names import hz_to_note, note_to_hz
-from .spectrum import Spectrum
+from .spectrum import Spectrum, highest_partial, spectrum
 
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = np.arange(1, 17)  # numbers of the partials of a comb
@@ -107,8 +107,10 @@ def check_pitch(frequency: float, name: str) -> None:
         raise AnalysisError(f"{name} is outside the range of a piano; give one from {LOWEST:g} to {HIGHEST:g} Hz")
 
 
-def find_pitch(spec: Spectrum, *, top: float, note: str | int | None, f0: float | None) -> tuple[float, float]:
-    """Rough f0 (Hz) and B of the note in `spec`.
+def find_pitch(
+    samples: np.ndarray, rate: int, *, note: str | int | None = None, f0: float | None = None
+) -> tuple[float, float]:
+    """Rough f0 (Hz) and B of the note that begins with `samples`.
 
     Raises
     ------
@@ -121,6 +123,7 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | int | None, f0: float 
     name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
     if requested is not None:
         check_pitch(requested, name)
+    spec, top = spectrum(samples, rate, 0.5), highest_partial(rate)
     free = _best(spec, LOWEST, HIGHEST, top)
     if requested is None:
         strongest = spec.peak[[np.argmax(spec.strength)]] if len(spec.peak) else spec.peak

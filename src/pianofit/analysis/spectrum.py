@@ -8,6 +8,7 @@ import numpy as np
 
 from ..dsp.bands import fast_length
 
+HIGHEST_PARTIAL = 12_000.0  # Hz, of the partials that are searched
 _BETA = 10.0  # side lobes 75 dB down
 
 
@@ -46,6 +47,11 @@ def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
     wide[-1, :block] = wide[-1, block : 2 * block]
     low = np.partition(wide, int(0.3 * wide.shape[1]), axis=1)[:, int(0.3 * wide.shape[1])]
     return np.interp(np.arange(len(level)), (np.arange(count) + 0.5) * block, low)
+
+
+def highest_partial(rate: int) -> float:
+    """Highest frequency that is searched for partials, Hz."""
+    return min(0.45 * rate, HIGHEST_PARTIAL)
 
 
 def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:

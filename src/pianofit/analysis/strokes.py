@@ -17,7 +17,6 @@ from ..recording.onset import find_onset
 from .inharmonicity import law_frequency
 from .note_names import cents_above, hz_to_note, note_to_hz
 from .pitch import find_pitch
-from .spectrum import spectrum
 
 # Steps and length of the frames in which levels are measured, s. A frame is short against the attack of a bass note.
 STEP, FRAME = 0.01, 0.04
@@ -139,7 +138,7 @@ def _stroke(samples: np.ndarray, mono: np.ndarray, rate: int, onset: int, end: i
     loudness = 10 * np.log10(sum(k_weighted_mean_square(channel, rate) for channel in part) + 1e-30)
     note, cents, doubt = "", float("nan"), ""
     try:
-        f0, B = find_pitch(spectrum(mono[onset:end], rate, 0.5), top=0.45 * rate, note=None, f0=None)
+        f0, B = find_pitch(mono[onset:end], rate)
         note = hz_to_note(f0)
         cents = cents_above(f0, note_to_hz(note))
         partials = law_frequency(f0, B, np.arange(1, PARTIALS + 1))

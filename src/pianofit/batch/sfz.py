@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch, find_pitch
-from ..analysis.spectrum import spectrum
 from ..conversions import hertz_of, midi_of
 from ..errors import AnalysisError, PianofitError, SetupError
 from ..io.files import printable, read_file
@@ -29,7 +28,6 @@ from .library_files import MAX_RECORDINGS, Row, find_file, first_of, root_note
 from .sfz_text import SfzText, regions, unrecognised_opcodes
 
 DEFAULT_ROOT = 60  # MIDI number: default root note of a region in the SFZ format
-MAX_PARTIAL_HZ = 12_000.0  # Hz: highest partial used to find the pitch of a sample, as in an analysis
 PEDALS = (64, 66, 67)  # controllers: sustain, sostenuto, una corda
 KEY_TRIGGERS = ("attack", "first", "legato")  # triggers by a pressed key
 # Opcodes that select among the regions of a key. One stroke starts all regions in which they are equal, as far as
@@ -229,9 +227,7 @@ def _detected_pitch(library: _Library, file: str) -> float | None:
         return None
     try:
         recording = load_recording(path)
-        sound = recording.samples[recording.onset :]
-        top = min(0.45 * recording.rate, MAX_PARTIAL_HZ)
-        return midi_of(find_pitch(spectrum(sound, recording.rate, 0.5), top=top, note=None, f0=None)[0])
+        return midi_of(find_pitch(recording.samples[recording.onset :], recording.rate)[0])
     except PianofitError:
         return None
 
