@@ -19,6 +19,7 @@ from ..felt import law_of
 from ..instrument import Instrument
 from ..io.files import replace_file
 from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ForcePulse, ModalResponse
+from ..model.note import Note
 from ..playback.repeated_strike import StringTables, strike_string, string_tables
 from ..schema.decode import encode_json
 from ..schema.modes_file import ForceEntry, ModeColumns, ModesFile, ModesKey, integers
@@ -93,9 +94,8 @@ def write_modal_json(
 def _key(instrument: Instrument, midi: int) -> ModesKey:
     note = instrument.note(midi, 64)
     table = string_tables(note, RATE)
-    response = (
-        _string_response(table) if note.modal_response is None else note.modal_response.scale_gain(note.gain).at(RATE)
-    )
+    measured = note.modal_response
+    response = _string_response(note, table) if measured is None else measured.scale_gain(note.gain).at(RATE)
     knock, scale = integers(response.knock)
     return ModesKey(
         midi,
@@ -145,20 +145,16 @@ def _contact_seconds(force: ForcePulse) -> float:
     return len(force.force) * force.step
 
 
-def _string_response(table: StringTables) -> ModalResponse:
+def _string_response(note: Note, table: StringTables) -> ModalResponse:
     """Modes of the string model through the levels of its output path, for a key without a measured response."""
     pole = np.asarray(table.modes.pole)
-    path = 1.0 if table.path is None else np.abs(_path_response(table.path, pole))
-    pattern = table.per_impulse * path
-    heard = np.flatnonzero((np.abs(pattern) > 0) & (np.imag(pole) < np.pi * RATE))
-    number = 1 + heard
-    return ModalResponse(number, pole[heard], np.zeros(len(heard)), pattern[None, heard], np.zeros((1, 0)), RATE)
-
-
-def _path_response(impulse: np.ndarray, pole: np.ndarray) -> np.ndarray:
-    """Frequency response of an output path at the frequencies of modes."""
-    spectrum = np.fft.rfft(impulse, 8 * len(impulse))
-    return np.interp(np.imag(pole) / np.pi, np.linspace(0, RATE, len(spectrum)), np.abs(spectrum))
+    db = 0.0 if note.path is None else note.path.at(np.imag(pole) / (2 * np.pi))
+    pattern = table.per_impulse * 10 ** (np.asarray(db) / 20)
+    sounding = np.flatnonzero((np.abs(pattern) > 0) & (np.imag(pole) < np.pi * RATE))
+    number = 1 + sounding
+    return ModalResponse(
+        number, pole[sounding], np.zeros(len(sounding)), pattern[None, sounding], np.zeros((1, 0)), RATE
+    )
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
