@@ -10,7 +10,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -247,15 +247,16 @@ def _write_samples(
     for i, key in enumerate(keys):
         measured.append(_measure(instrument, key, options))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
-    noises = [] if instrument.release is None else [*_noises(instrument.release, options.rate).values()]
-    peak = max([key.peak for pair in measured for key in pair] + [float(np.abs(x).max(initial=0.0)) for x in noises])
+    noises = {} if instrument.release is None else _noises(instrument.release, options.rate)
+    peaks = [float(np.abs(x).max(initial=0.0)) for x in noises.values()]
+    peak = max([key.peak for pair in measured for key in pair] + peaks)
     writer = _Writer(work, 10 ** (options.peak_db / 20) / peak if peak > 0 else 1.0, options)
     sampled_keys = []
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
         sampled_keys.append(_write_key(instrument, writer, key, span, pair))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     played = sorted({midi for key in sampled_keys for midi in range(key.low, key.high + 1)})
-    releases = [] if instrument.release is None else _write_releases(instrument.release, writer, played)
+    releases = [] if instrument.release is None else _write_releases(instrument.release, noises, writer, played)
     summary = ExportSummary(
         keys=len(keys),
         unrecorded=len(instrument.unrecorded(keys)),
@@ -313,17 +314,16 @@ def _noises(release: ReleaseNoise, rate: int) -> dict[int, np.ndarray]:
     return {midi: release.sound(midi, RECORDED_VELOCITY, math.inf, rate)[:CHANNELS] for midi in release.sounds}
 
 
-def _write_releases(release: ReleaseNoise, writer: _Writer, played: Sequence[int]) -> list[ReleaseSample]:
+def _write_releases(
+    release: ReleaseNoise, noises: Mapping[int, np.ndarray], writer: _Writer, played: Sequence[int]
+) -> list[ReleaseSample]:
     """Write the noises of the recorded keys that are needed, and return the noise of every key that is played."""
-    noises, files = _noises(release, writer.options.rate), dict[int, str]()
-    found = []
+    files, found = dict[int, str](), []
     for midi in played:
         source = release.source(midi)
         if source not in files:
             files[source] = writer.write(source, "release", noises[source])
-        sound = release.sound(midi, RECORDED_VELOCITY, math.inf, writer.options.rate)[:CHANNELS]
-        powers = [max(float(np.sum(x**2)), 1e-30) for x in (sound, noises[source])]
-        found.append(ReleaseSample(midi, files[source], 0.5 * DB * math.log(powers[0] / powers[1])))
+        found.append(ReleaseSample(midi, files[source], DB * release.log_gain(midi)))
     return found
 
 

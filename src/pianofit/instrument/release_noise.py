@@ -40,6 +40,12 @@ class ReleaseNoise:
         """Return the recorded key whose noise a key plays: the nearest, or the lower of two."""
         return min(self.sounds, key=lambda key: (abs(key - midi), key))
 
+    def log_gain(self, midi: int) -> float:
+        """Return the logarithm of the amplitude of a key's noise over that of its source."""
+        keys = sorted(self.sounds)
+        log_rms = {key: 0.5 * math.log(max(float(np.sum(self.sounds[key] ** 2)), 1e-30)) for key in keys}
+        return float(np.interp(midi, keys, [log_rms[key] for key in keys])) - log_rms[self.source(midi)]
+
     def sound(self, midi: int, velocity: int, seconds: float, rate: int) -> np.ndarray:
         """Return the noise of a key, file units [channels, samples].
 
@@ -54,13 +60,9 @@ class ReleaseNoise:
         seconds : time since the stroke, s.
         rate : sample rate, Hz.
         """
-        nearest = self.source(midi)
-        keys = sorted(self.sounds)
-        log_rms = {key: 0.5 * math.log(max(float(np.sum(self.sounds[key] ** 2)), 1e-30)) for key in keys}
-        level = float(np.interp(midi, keys, [log_rms[key] for key in keys])) - log_rms[nearest]
         speed = VelocityCurve().at(max(velocity, 1)) / VelocityCurve().at(RECORDED_VELOCITY)
-        gain = math.exp(level) * speed * -math.expm1(-max(seconds, 0.0) / SOUNDING_TIME)
-        return gain * resample(self.sounds[nearest], self.rate, rate)
+        gain = math.exp(self.log_gain(midi)) * speed * -math.expm1(-max(seconds, 0.0) / SOUNDING_TIME)
+        return gain * resample(self.sounds[self.source(midi)], self.rate, rate)
 
 
 def release_noise(sounds: Mapping[int, Sequence[tuple[np.ndarray, int]]], channels: int) -> ReleaseNoise | None:
