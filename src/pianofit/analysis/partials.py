@@ -205,13 +205,9 @@ def _beyond_noise(short: ExponentialFit, long: ExponentialFit, part: Callable) -
 
 def _at_least_neighbours(sd: np.ndarray) -> np.ndarray:
     """The larger of each value and the rms of its neighbours [partials]; a single value can be zero by chance."""
-    return np.maximum(np.abs(np.nan_to_num(sd)), _neighbour_rms(sd))
-
-
-def _neighbour_rms(sd: np.ndarray) -> np.ndarray:
-    """Rms over each value and its neighbours [partials]."""
-    size = np.pad(np.abs(np.nan_to_num(sd)), _NEAR, mode="symmetric")
-    return np.sqrt(np.mean(np.lib.stride_tricks.sliding_window_view(size, 2 * _NEAR + 1) ** 2, axis=1))
+    size = np.abs(np.nan_to_num(sd))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
+    return np.maximum(size, np.sqrt(np.mean(near**2, axis=1)))
 
 
 def _fill_hidden(size: np.ndarray, visible: np.ndarray) -> np.ndarray:
