@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
@@ -31,7 +30,7 @@ def derived_quantities(draws: DrawSet) -> Quantities:
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
     table = of_contact(u) if draws.law.has_contact else {}
-    table |= {f"{T60}{k}": ("s", partial(_t60, k)) for k in _octaves(fit)}
+    table |= {f"{T60}{k}": ("s", lambda draw, k=k: draw.t60(k)) for k in _octaves(fit)}
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
         found = draws.evaluate(function)
@@ -58,10 +57,6 @@ def with_force_interval(draws: DrawSet) -> Quantities:
         return invariants
     found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
     return Quantities.of([*({**invariants, "F/M_S": replace(own, interval=found.interval)}).values()])
-
-
-def _t60(partial: int, draw: ModelDraw) -> float:
-    return draw.t60(partial)
 
 
 def _octaves(fit: Fit) -> list[int]:
