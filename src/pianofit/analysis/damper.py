@@ -63,7 +63,6 @@ class DamperFit:
     """The damper of one key."""
 
     release_s: float  # time of the release after the onset, s
-    release_error: float  # its standard error, s
     f1: float  # Hz
     frequency: np.ndarray  # Hz [partials]
     rate: np.ndarray  # added decay rates, 1/s [partials]
@@ -176,7 +175,7 @@ def _fit(envelopes: _Envelopes, frequency: np.ndarray, f1: float) -> DamperFit:
     if not np.sqrt(covariance[0, 0]) < 1 / LEAST_Z:
         raise AnalysisError("no release was detected; a note that rings to its end has the role note")
     error = np.hypot(errors, shift * release_error)
-    return DamperFit(release, release_error, f1, frequency[used], rates, error, log_rate, slope, covariance)
+    return DamperFit(release, f1, frequency[used], rates, error, log_rate, slope, covariance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,7 +67,6 @@ class _Fits:
     middle: ExponentialFit  # `FREQUENCY_WINDOW`
     first: ExponentialFit  # the first 0.4 s, for fast beats
     components: Components
-    clean: np.ndarray  # bool: one exponential is sufficient
     lasts: np.ndarray  # bool: the partial sounds in `FREQUENCY_WINDOW`
     beat: np.ndarray  # amplitude of the beating component over that of the partial
 
@@ -91,7 +90,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     first = fitted.fit_window(0.0, bands.time[0] + 0.4, LEVEL_RATE / 2, _REACH)
     components = resolve_components(fitted, (beating > _DEEP) & ~clean)
     lasts = (middle.fit.power > 10 * fitted.frame_noise) & (bands.time[-1] > 0.6) & ~has_drifted(bands, middle.fit)
-    fits = _Fits(full, early, middle, first, components, clean, lasts, beat)
+    fits = _Fits(full, early, middle, first, components, lasts, beat)
     snr = -20 * np.log10(np.maximum(full.log_error(-fit.origin), 1e-15))
     detected = (snr > LEAST_SNR) & ~fitted.drifted  # other peaks must not influence the law
     detected |= not detected.any()
