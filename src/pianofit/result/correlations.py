@@ -10,7 +10,7 @@ from ..conversions import HALF_WIDTH_95
 from ..inference import InferenceResult
 from ..inference.parametrisation import Parametrisation
 from ..io.number_format import format_relative_uncertainty, with_half_interval
-from ..schema.quantities import Covariance
+from ..schema.quantities import Covariance, unit_of
 
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99
@@ -64,3 +64,10 @@ def _best_combination(fit: InferenceResult, a: str, b: str) -> str:
 def felt_force_name(u: Parametrisation) -> str:
     """The name of the force that a fit searches, with its compression."""
     return f"static felt force at {1e3 * u.reference_compression:.3g} mm"
+
+
+def name_and_unit(u: Parametrisation, i: int) -> tuple[str, str]:
+    """The name and the unit of what a fit searches as its parameter `i`: the felt force in place of K_H."""
+    if u.force_and_exponent_index and i == u.force_and_exponent_index[0]:
+        return f"the {felt_force_name(u)}", "N"
+    return u.names[i], unit_of(u.names[i], u.law)

@@ -13,8 +13,8 @@ from ..conversions import BEATING_DB, HALF_WIDTH_95
 from ..inference import FitProblem, InferenceResult, priors
 from ..io.files import printable
 from ..recording.recording import Recording
-from ..schema.quantities import Status, unit_of
-from .correlations import StrongCorrelation, felt_force_name
+from ..schema.quantities import Status
+from .correlations import StrongCorrelation, name_and_unit
 from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, velocity_statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
@@ -117,9 +117,7 @@ def literature_warnings(fit: InferenceResult) -> list[str]:
         deviations = float(theta[i] - u.mean[i]) / float(u.sd[i])
         if abs(deviations) < LITERATURE_Z:
             continue
-        is_force = bool(u.force_and_exponent_index) and i == u.force_and_exponent_index[0]
-        label = f"the felt force at {1e3 * u.reference_compression:.3g} mm" if is_force else name
-        unit = "N" if is_force else unit_of(name, u.law)
+        label, unit = name_and_unit(u, i)
         source = "the literature" if u.joint is None else "the prediction from the other keys"
         low, value, high = np.exp([u.mean[i] - HALF_WIDTH_95 * u.sd[i], theta[i], u.mean[i] + HALF_WIDTH_95 * u.sd[i]])
         lines.append(
@@ -197,10 +195,7 @@ def _mixture_warning(fit: InferenceResult) -> list[str]:
     stroke = u.law.stroke
     # Velocities of a hammer follow from the other parameters.
     largest = int(np.argmax(difference[: u.shared if stroke.scale_is_open else u.velocities.stop]))
-    is_force = bool(u.force_and_exponent_index) and largest == u.force_and_exponent_index[0]
-    own = u.names[largest] if largest < u.shared else stroke.name
-    name = f"the {felt_force_name(u)}" if is_force else own
-    unit = "N" if is_force else stroke.unit if own == stroke.name else unit_of(own, u.law)
+    name, unit = name_and_unit(u, largest) if largest < u.shared else (stroke.name, stroke.unit)
     shown, second = np.exp(z[[0, other], largest])
     note = {
         "laplace": "Intervals and predictions average over all minima.",
