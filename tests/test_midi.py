@@ -182,7 +182,7 @@ def pressed(*events: tuple[int, int]) -> list[tuple[float, int]]:
     return [(2 * now, how) for now, how in read(song(moves(*events), division=1)).keys[60]]
 
 
-def test_a_note_off_ends_the_oldest_stroke_of_its_key():
+def test_a_key_is_released_when_all_its_strokes_have_ended():
     assert pressed((0, 80), (1, 70), (0, 0), (1, 0)) == [(0, 80), (1, 70), (2, 0)]
     assert pressed((0, 80), (1, 0), (0, 70), (1, 0)) == [(0, 80), (1, 0), (1, 70), (2, 0)]
     assert pressed((0, 80), (1, 70), (1, 0), (1, 0)) == [(0, 80), (1, 70), (3, 0)]

@@ -55,8 +55,8 @@ def noise_floor(extras: Sequence[KeyExtras], channels: int) -> NoiseFloor | None
 
     Parameters
     ----------
-    channels : number of channels of the instrument. If a noise floor has another number, the mean of its channels is
-        used.
+    channels : number of channels of the instrument. If one noise floor has another number, the means over channels
+        are used.
     """
     entries = [key.noise for key in extras if key.noise is not None]
     if not entries:

@@ -71,7 +71,7 @@ def release_noise(sounds: Mapping[int, Sequence[tuple[np.ndarray, int]]], channe
     Parameters
     ----------
     sounds : noises [channels, samples] and their rates, Hz, by MIDI number.
-    channels : number of channels of the instrument. Noises with another number become mono.
+    channels : number of channels of the instrument. All noises become mono if one has another number.
     """
     if not sounds:
         return None

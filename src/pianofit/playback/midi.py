@@ -4,8 +4,8 @@ All channels except the tenth (drums) play on one piano. A key is down while any
 and 67 are the right, middle and left pedal; the highest value of all channels counts. Other controllers have no
 effect. Tempo changes are applied.
 
-Strokes of one key may overlap. A note-off then ends the oldest stroke of its key and channel. The damper falls when
-as many strokes have ended as have begun.
+Strokes of one key may overlap. A note-off then ends the newest open stroke of its key and channel. The damper falls
+when as many strokes have ended as have begun.
 """
 
 from __future__ import annotations

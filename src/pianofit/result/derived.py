@@ -70,11 +70,14 @@ class ModelDraw:
         return self._stroke()
 
     def felt_force(self, compression: float) -> float:
-        """Static force of the felt, N, at a compression, m."""
+        """Static force of the felt, N, at a compression, m. For hammers only."""
         return float(law_of(self.note.hammer).force(compression, 0.0, self.note.hammer))
 
     def local_exponent(self, compression: float) -> float:
-        """Exponent of the static force of the felt, d log F/d log u, at a compression, m; p without a skin."""
+        """Exponent of the static force of the felt, d log F/d log u, at a compression, m; p without a skin.
+
+        For hammers only.
+        """
         low, high = (self.felt_force(compression * math.exp(step)) for step in (-STEP, STEP))
         return math.log(high / low) / (2 * STEP)
 

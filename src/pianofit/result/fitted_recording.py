@@ -62,7 +62,7 @@ class FittedRecording:
 
     @property
     def sound(self) -> np.ndarray:
-        """Samples of `as_played` for a file [samples] or [channels, samples]."""
+        """Samples of `final` for a file [samples] or [channels, samples]."""
         frames = self.final.frames
         return self.final.samples if frames is None or len(frames) == 1 else frames
 
