@@ -17,9 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..conversions import DB
 from ..dsp.bands import BETA, Bands, kaiser_bands
 from ..errors import AnalysisError
 from ..recording.recording import Source, to_recording
+from .envelope_slopes import CLEAR
 from .note_names import note_to_hz
 from .numbering import number_partials
 from .pitch import find_pitch
@@ -31,8 +33,6 @@ WIDEST = 100.0  # Hz, largest width of a band
 SEARCH_BEFORE, SEARCH_AFTER, BEFORE = 0.3, 0.2, 1.0
 # Fall of an envelope that is used after the release, dB. The sound of room and free strings bends a longer fall.
 RANGE = 20.0
-# dB above the noise of a frame, from which noise changes the log envelope by less than 2 dB rms.
-CLEAR = 10.0
 # Standard deviation of beats in the search for the release, Np.
 SEARCH_BEATS = 0.1
 # Sizes, Np, and lengths, s, of beats that are tried: from hardly visible to deep, and from fast to slower than a note.
@@ -215,7 +215,7 @@ def _partial(envelopes: _Envelopes, k: int, coarse: float) -> _Partial | None:
     time, log = envelopes.time, envelopes.log[k]
     first = int(np.searchsorted(time, max(coarse - BEFORE, time[0])))
     corner = int(np.searchsorted(time, coarse))
-    visible = envelopes.clear[k] & (log > log[corner] - RANGE * np.log(10) / 20)
+    visible = envelopes.clear[k] & (log > log[corner] - RANGE / DB)
     hidden = np.flatnonzero(~visible[corner:])
     last = corner + int(hidden[0]) if len(hidden) else len(time)
     if last - corner < FEWEST_FRAMES or corner - first < FEWEST_FRAMES or not visible[first:corner].all():

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..conversions import BEATING_DB
+from ..conversions import BEATING_DB, DB
 from ..dsp.damped_sums import sum_damped_modes, z_transform_at_poles
 from ..dsp.filters import convolve, resample
 from ..felt import law_of
@@ -283,7 +283,7 @@ def _decay(response: ModalResponse, number: int) -> PartialDecay:
 def _energy(rate: np.ndarray, power: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Energy without interference, dB [time]."""
     exponent = np.log(power) - 2 * np.outer(time, rate)
-    return 10 / np.log(10) * np.logaddexp.reduce(exponent, axis=1)
+    return DB / 2 * np.logaddexp.reduce(exponent, axis=1)
 
 
 def _t60(rate: np.ndarray, error: np.ndarray, power: np.ndarray, start: float, stop: float) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..analysis import law_frequency
+from ..conversions import CENTS
 from ..model import Simulation
 from ..result import Result
 from ..schema.fit import Criterion, PartialLevels
@@ -169,7 +170,7 @@ def _frequencies(result: Result) -> Figure:
     partials, f0, B = result.analysis.partials, result.fit.derived.f0, result.fit.derived.B
     k = partials.number
     measured, fitted = (1200 * np.log2(f / (k * f0)) for f in (partials.frequency, law_frequency(f0, B, k)))
-    error = 1200 / np.log(2) * partials.frequency_error / partials.frequency
+    error = CENTS * partials.frequency_error / partials.frequency
     figure, (cents, residual) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, k, measured, error)
     cents.plot(k, fitted, label="fitted string", **LINES["fitted"])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..analysis import Analysis
+from ..conversions import DB
 from ..criterion import (
     BANDS,
     SpectralCells,
@@ -88,7 +89,7 @@ class RecordingComparison:
     def add_noise_floor(self, level: np.ndarray) -> np.ndarray:
         """Levels, dB [partials], plus the noise energy of the recording, since a partial at a node is not silent."""
         noise = self.level - self.analysis.partials.snr
-        return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, noise * np.log(10) / 10)
+        return DB / 2 * np.logaddexp(2 / DB * level, 2 / DB * noise)
 
     def energy_and_gain(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
         """|Y|² of a sound on the cells [partials, nodes], and the square of its best gain by eq. 19."""
