@@ -195,7 +195,7 @@ def test_songs_are_read_tolerantly(data, remarks):
     assert (song["notes"], song["beyond"], len(song["remarks"])) == (1, 0, remarks)
 
 
-def test_a_note_off_ends_the_oldest_stroke_of_its_key_and_channel():
+def test_a_key_is_released_when_all_its_strokes_have_ended():
     on_first = track(*DOWN, *BEAT, 0x90, 60, 80, 0, 0x80, 60, 64, *BEAT, 0x80, 60, 64)
     off_first = track(*DOWN, *UP, *UP_AND_ON, *UP)
     expected = [on(0, 60, 80), on(0.5, 60, 80), off(1.0, 60)]
