@@ -10,7 +10,7 @@ from ..instrument import Instrument
 from ..instrument.dampers import LAST_DAMPER
 from ..io.files import printable
 from .decent_sampler import dspreset_text
-from .layers import BLENDS, SamplerContent, format_keys, silent_keys
+from .layers import BLENDS, SamplerContent, format_keys, played_keys, silent_keys
 from .sfz import sfz_text
 
 # A line that identifies a folder as an export, so that --force never deletes a folder of the user.
@@ -43,7 +43,7 @@ def readme_text(instrument: Instrument, file: str, content: SamplerContent, lice
     name, keys = printable(instrument.name) or "An instrument", content.keys
     sampled = [key.midi for key in keys]
     unrecorded = instrument.unrecorded(sampled)
-    transposed = {midi for key in keys for midi in range(key.low, key.high + 1)} - {*sampled}
+    transposed = played_keys(keys) - {*sampled}
     changed = {*instrument.changed} & {*sampled}
     by_hand = f"Sampled, changed by hand on the page to play: {_named(changed)}\n" if changed else ""
     return f"""{name}

@@ -107,10 +107,14 @@ def fill_gaps(keys: Sequence[int]) -> list[int]:
     return filled
 
 
+def played_keys(keys: Sequence[SampledKey]) -> set[int]:
+    """Keys of the piano with a sample in reach."""
+    return {midi for key in keys for midi in range(key.low, key.high + 1)}
+
+
 def silent_keys(keys: Sequence[SampledKey]) -> list[int]:
     """Keys of the piano without a sample in reach."""
-    played = {midi for key in keys for midi in range(key.low, key.high + 1)}
-    return [midi for midi in range(LOWEST_KEY, HIGHEST_KEY + 1) if midi not in played]
+    return sorted({*range(LOWEST_KEY, HIGHEST_KEY + 1)} - played_keys(keys))
 
 
 def format_keys(keys: Sequence[int]) -> str:

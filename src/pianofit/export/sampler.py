@@ -34,6 +34,7 @@ from .layers import (
     SamplerContent,
     key_ranges,
     layer_velocities,
+    played_keys,
     silent_keys,
 )
 from .samples import SILENT_DB, KeySamples, Length, measure_layers, render_resonance_sample, render_sample
@@ -255,7 +256,7 @@ def _write_samples(
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
         sampled_keys.append(_write_key(instrument, writer, key, span, pair))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
-    played = sorted({midi for key in sampled_keys for midi in range(key.low, key.high + 1)})
+    played = sorted(played_keys(sampled_keys))
     releases = [] if instrument.release is None else _write_releases(instrument.release, noises, writer, played)
     summary = ExportSummary(
         keys=len(keys),
