@@ -35,7 +35,7 @@ SILENT_DB = -120.0
 # A sure stroke lasts this long above the noise, s, and its pitch is this near to a key, cents.
 LASTS, NEAR_KEY = 0.3, 45.0
 # Time after the onset in which loudness is measured, s.
-HEARD = 1.0
+LOUDNESS_SECONDS = 1.0
 # Span over which levels are averaged for the end of a stroke, s: single frames of noise vary by several dB.
 SILENT_FOR = 0.2
 # A sure stroke raises the lowest partials of its pitch, so many of them, by this much in the median, dB, in spans
@@ -71,8 +71,7 @@ def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
     mono = samples[np.argmax(np.sum(samples**2, axis=1))]
     levels = _band_levels(mono, rate)
     noise = np.quantile(levels, 0.1, axis=0) + ABOVE_NOISE
-    heard = np.maximum(levels, noise)
-    onsets = [_refined(mono, rate, round(i * STEP * rate)) for i in _rises(heard)]
+    onsets = [_refined(mono, rate, round(i * STEP * rate)) for i in _rises(np.maximum(levels, noise))]
     onsets = [a for i, a in enumerate(onsets) if i == 0 or a - onsets[i - 1] >= APART * rate]
     # The sound just before an onset belongs to it.
     limits = [*(onset - round(BEFORE * rate) for onset in onsets[1:]), samples.shape[1]]
@@ -100,12 +99,12 @@ def _band_levels(mono: np.ndarray, rate: int) -> np.ndarray:
     return np.maximum(levels, levels.max(initial=-300.0) + SILENT_DB)
 
 
-def _rises(heard: np.ndarray) -> list[int]:
+def _rises(levels: np.ndarray) -> list[int]:
     """Steps at which the mean rise of all bands is largest within `APART` and above `RISE`."""
-    if len(heard) <= AHEAD:
+    if len(levels) <= AHEAD:
         return []
-    before = np.concatenate([np.repeat(heard.min(axis=0)[None], AHEAD, axis=0), heard[:-AHEAD]])
-    rise = np.maximum(heard - before, 0.0).mean(axis=1)
+    before = np.concatenate([np.repeat(levels.min(axis=0)[None], AHEAD, axis=0), levels[:-AHEAD]])
+    rise = np.maximum(levels - before, 0.0).mean(axis=1)
     reach = round(APART / STEP)
     padded = np.pad(rise, reach)
     largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
@@ -134,7 +133,7 @@ def _end(levels: np.ndarray, noise: np.ndarray, rate: int, onset: int, limit: in
 
 def _stroke(samples: np.ndarray, mono: np.ndarray, rate: int, onset: int, end: int) -> Stroke:
     """Measure a stroke."""
-    part = samples[:, onset : min(end, onset + round(HEARD * rate))]
+    part = samples[:, onset : min(end, onset + round(LOUDNESS_SECONDS * rate))]
     loudness = 10 * np.log10(sum(k_weighted_mean_square(channel, rate) for channel in part) + 1e-30)
     note, cents, doubt = "", float("nan"), ""
     try:
