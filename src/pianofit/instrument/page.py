@@ -17,7 +17,7 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.number_format import number
 from ..report import html
-from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, log_axis, make_figure, page_style, svg
+from ..report.drawing import BAND, FITTED, INITIAL, MARKERS, MEASURED, key_axis, log_axis, make_figure, page_style, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from ..schema.instrument import PartialEntry
 from .instrument import KEY_STATES, Instrument, Key
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CS = {midi: midi_to_note(midi) for midi in range(24, HIGHEST_KEY + 1, 12)}
-MARKERS = "osD^"
 # Deviation of a fit from the prediction of the other keys from which the table names it, standard deviations.
 NAMED_Z = 2.0
 FIGURES = {
@@ -154,14 +152,9 @@ def _law(axes: Axes, instrument: Instrument, name: str) -> None:
     label = "fit of the key"
     axes.errorbar([*fits], fitted, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label=label, zorder=4)
     axes.set_title(quantity.title + (f" ({quantity.unit})" if quantity.unit not in ("", "1") else ""))
-    _keyboard(axes)
+    key_axis(axes)
     if quantity.scale == "log" and name != "local_exponent":
         _log(axes, [*law.low, *law.high, *fitted, *([] if law.literature is None else law.literature)])
-
-
-def _keyboard(axes: Axes) -> None:
-    axes.set_xlim(LOWEST_KEY - 1, HIGHEST_KEY + 1)
-    axes.set_xticks(list(CS), list(CS.values()))
 
 
 def _log(axes: Axes, shown: Iterable[float]) -> None:
@@ -177,7 +170,7 @@ def _log(axes: Axes, shown: Iterable[float]) -> None:
 def _paths(axes: Axes, instrument: Instrument) -> None:
     for midi, key in instrument.keys.items():
         path = key.note.path
-        if path is None or not (key.fit or midi in CS):
+        if path is None or not (key.fit or midi in range(24, HIGHEST_KEY + 1, 12)):
             continue
         style = {"lw": 1.3, "zorder": 3, "color": FITTED, "alpha": 0.8}
         if key.fit:
@@ -193,7 +186,7 @@ def _residuals(axes: Axes, instrument: Instrument) -> None:
     axes.vlines([*shown], 0, [*shown.values()], color=MEASURED, lw=3)
     axes.set(title="residual of the partial levels of each fit (dB rms)")
     axes.set_ylim(bottom=0)
-    _keyboard(axes)
+    key_axis(axes)
 
 
 def _decays(axes: Axes, partials: list[tuple[int, PartialEntry]], name: str) -> None:
@@ -209,7 +202,7 @@ def _decays(axes: Axes, partials: list[tuple[int, PartialEntry]], name: str) -> 
             color=COLOURS[(partial - 1) % len(COLOURS)],
             label=f"partial {partial}",
         )
-    _keyboard(axes)
+    key_axis(axes)
     _log(axes, [value for _, _, value in values if value is not None] or [1.0])
 
 

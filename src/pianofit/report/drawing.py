@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..conversions import HALF_WIDTH_95
+from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +25,7 @@ INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#
 PAPER, GRID, EDGE, BORDER, HATCH = "#ffffff", "#e3e7ec", "#9aa3ad", "#7b8794", "#c3cad2"
 LOOP, BAND, GROUP, WRONG = "#8fbfe0", "#cfe3f1", "#cc79a7", "#a3123a"
 GROUPS = (FITTED, LAW, GROUP, INITIAL)  # of path groups, or of partials
+MARKERS = "osD^"  # of partials
 # Colour -> property of `page.css`.
 COLOURS = (
     {INK: "ink", MEASURED: "measured", INITIAL: "initial", LAW: "law", FITTED: "fitted", FAINT: "faint"}
@@ -171,6 +172,13 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
     low, high = span(number)
     axes.set_xlim(low - 0.7, high + 0.7)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
+
+
+def key_axis(axes: Axes, span: tuple[int, int] = (LOWEST_KEY - 1, HIGHEST_KEY + 1)) -> None:
+    """Make the horizontal axis one of keys, between two MIDI numbers."""
+    ticks = {24 + 12 * i: f"C{i + 1}" for i in range(8) if span[0] <= 24 + 12 * i <= span[1]}
+    axes.set_xlim(*span)
+    axes.set_xticks(list(ticks), list(ticks.values()))
 
 
 def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:

@@ -20,7 +20,9 @@ from ..report.drawing import (
     HATCH,
     INITIAL,
     LAW,
+    MARKERS,
     MEASURED,
+    key_axis,
     log_axis,
     make_figure,
     page_style,
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CS = {24 + 12 * i: f"C{i + 1}" for i in range(8)}
-MARKERS = "osD^"
 # Highest partial whose beats have an own mark in the picture.
 MARKED_PARTIALS = len(MARKERS)
 # Colour and line style of the curve of each octave type, and how strongly its band is coloured.
@@ -109,7 +109,7 @@ def _curves(axes: Axes, tuning: Tuning, span: tuple[int, int]) -> None:
     shown = [*law[0], *_rows([key.curves["2:1"] for key in keys])[0], *_rows([k.as_found for k in recorded]).ravel()]
     axes.set_ylim(min(shown) - MARGIN_CENTS, max(shown) + MARGIN_CENTS)
     axes.set_title(f"partial 1 from equal temperament at A4 = {tuning.a4:g} Hz (cents)")
-    _keyboard(axes, span)
+    key_axis(axes, span)
 
 
 def _inharmonicity(axes: Axes, tuning: Tuning) -> None:
@@ -122,7 +122,7 @@ def _inharmonicity(axes: Axes, tuning: Tuning) -> None:
     axes.set_yscale("log")
     log_axis(axes.yaxis, (1,))
     axes.set_title("inharmonicity B")
-    _keyboard(axes)
+    key_axis(axes)
 
 
 def _beats(axes: Axes, tuning: Tuning) -> None:
@@ -133,7 +133,7 @@ def _beats(axes: Axes, tuning: Tuning) -> None:
             axes.plot(*np.transpose(shown), **style, label=f"partial {i + 1}")
     axes.set_title("beats of the lowest partials of recorded keys (Hz)")
     axes.set_ylim(bottom=0)
-    _keyboard(axes)
+    key_axis(axes)
 
 
 def _points(axes: Axes, keys: Sequence[TunedKey], field: str, label: str) -> None:
@@ -146,9 +146,3 @@ def _points(axes: Axes, keys: Sequence[TunedKey], field: str, label: str) -> Non
 def _rows(values: Sequence[IntervalValue]) -> np.ndarray:
     """Values and the lower and upper ends of their intervals [3, values]."""
     return np.array([(it.value, *it.interval) for it in values]).T
-
-
-def _keyboard(axes: Axes, span: tuple[int, int] = (LOWEST_KEY - 1, HIGHEST_KEY + 1)) -> None:
-    axes.set_xlim(*span)
-    ticks = {midi: name for midi, name in CS.items() if span[0] <= midi <= span[1]}
-    axes.set_xticks(list(ticks), list(ticks.values()))
