@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Highest partial whose beats have an own mark in the picture.
 MARKED_PARTIALS = len(MARKERS)
@@ -67,7 +66,7 @@ def write_page(path: str | os.PathLike[str], tuning: Tuning) -> None:
         off=[by_note[note] for note in tuning.off],
         wide=[by_note[note] for note in tuning.wide_unisons],
         beating=[key for key in tuning.keys if key.beats],
-        pictures={name: html.picture([svg(figure) for figure in panels]) for name, panels in figures(tuning).items()},
+        pictures={name: html.picture(panels) for name, panels in figures(tuning).items()},
         filters={"cents": _cents, "digits": _digits},
         version=__version__,
     )
@@ -81,17 +80,18 @@ def _digits(it: IntervalValue, digits: int) -> str:
     return f"{number(it.value, digits)} [{number(it.interval[0], digits)}, {number(it.interval[1], digits)}]"
 
 
-def figures(tuning: Tuning) -> dict[str, list[Figure]]:
-    """Return the panels of the page, by picture."""
+def figures(tuning: Tuning) -> dict[str, list[bytes]]:
+    """Draw the panels of the page as SVG, by picture."""
     recorded = [key.midi for key in tuning.keys if key.recorded]
     near = (recorded[0] - MARGIN_KEYS, recorded[-1] + MARGIN_KEYS)
     spans = [(LOWEST_KEY - 1, HIGHEST_KEY + 1), (max(near[0], LOWEST_KEY - 1), min(near[1], HIGHEST_KEY + 1))]
     size: dict[str, Any] = {"height": HEIGHT, "legend_rows": 2, "columns": 3}
     with page_style():
-        return {
+        panels = {
             "curves": [make_figure(_curves, tuning, span, **size) for span in spans],
             "others": [make_figure(_inharmonicity, tuning, columns=3), make_figure(_beats, tuning)],
         }
+        return {name: [svg(figure) for figure in own] for name, own in panels.items()}
 
 
 def _curves(axes: Axes, tuning: Tuning, span: tuple[int, int]) -> None:
