@@ -170,7 +170,7 @@ def _invariant_map(u: Parametrisation, record: KeyPrior, rows: dict[str, tuple[n
     constant = constant + linear @ origin
     linear = linear @ (u.model_entries(np.eye(u.size)) - origin).T
     force, exponent = (np.array([float(name == own) for name in rows]) for own in (FORCE, EXPONENT))
-    return InvariantMap(linear, constant, force, exponent, record.compression, u.reference_compression)
+    return InvariantMap(linear, constant, force, exponent, record.compression, u.reference_compression or 0.0)
 
 
 def _centre(
