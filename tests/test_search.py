@@ -62,7 +62,7 @@ def wide() -> np.ndarray:
 
 def surrogate() -> QuadraticSurrogate:
     """The surrogate before any residual is known."""
-    return QuadraticSurrogate.of(problem().observed.level, wide())
+    return QuadraticSurrogate.of_gains(problem().observed.level, wide())[-1]
 
 
 def samples(objective: Objective, count: int) -> np.ndarray:

@@ -108,7 +108,7 @@ class InferenceResult:
         objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), string)
         table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
-        surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
+        surrogates = QuadraticSurrogate.of_gains(table, phi[0])
         hammers = fixed.project(np.stack([self.initial_theta, theta]))
         values = u.law.stroke.fine(self.problem.initial_values.geometry)
         starts = np.concatenate(rank_hammers(objective, hammers, values, surrogates, offset))
