@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -170,7 +170,7 @@ def build_problem(
     reference = order.index(max(order))
     stroke = structure.stroke[reference]
     analyses = tuple(analysis.with_decay_law(analyses[reference]) for analysis in analyses)
-    start = starting_values(analyses[reference], replace(setup, recordings=()), measured[stroke])
+    start = starting_values(analyses[reference], setup, measured[stroke])
     unnamed = "v_H0" in setup.fixed and measured[stroke] is None
     if unnamed:
         given[stroke] = setup.fixed["v_H0"]
