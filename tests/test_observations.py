@@ -84,16 +84,8 @@ def test_nodes_are_of_paths_and_of_gains():
 def test_two_microphones_share_a_stroke_and_no_path():
     assert MICROPHONES.strokes == 1
     assert MICROPHONES.groups == 2
-    assert not MICROPHONES.path_identifiable
     np.testing.assert_array_equal(observed(MICROPHONES).level.group, np.eye(2))
     np.testing.assert_array_equal(observed().level.group, np.ones((2, 1)))
-
-
-def test_only_a_path_with_two_velocities_compares_anything():
-    assert RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)).path_identifiable
-    assert not RecordingStructure((0, 1), (0, 1), (0, 1)).path_identifiable  # one path each
-    assert not ALONE.path_identifiable
-    assert TWO.path_identifiable
 
 
 def test_the_residual_of_every_path_is_integrated_over():

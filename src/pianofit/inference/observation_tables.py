@@ -43,11 +43,6 @@ class RecordingStructure:
         """Number of paths."""
         return max(self.group) + 1
 
-    @property
-    def path_identifiable(self) -> bool:
-        """True if one path has two velocities; without that, path and hammer cannot be distinguished."""
-        return len({*zip(self.group, self.stroke, strict=True)}) > self.groups
-
 
 @dataclass(frozen=True)
 class Observations:
