@@ -91,7 +91,7 @@ class FitProblem:
     cfg: StaticConfig
 
     @property
-    def path(self) -> bool:
+    def has_unknown_path(self) -> bool:
         """True if an unknown path lies between the bridge and the file."""
         return self.initial_values.unknown_path
 
