@@ -64,7 +64,7 @@ Points = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 
 
-def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Progress = lambda *_: None) -> Candidates:
+def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Progress) -> Candidates:
     """Find the minima of F of the levels; the lowest is first.
 
     Parameters

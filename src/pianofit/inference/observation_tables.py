@@ -10,7 +10,6 @@ import numpy as np
 from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
 from ..excitation import Excitation
-from ..felt import DEFAULT_LAW
 from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
@@ -74,8 +73,8 @@ def observe(
     unit: float,
     path: bool,
     gains: bool,
-    excitation: Excitation = DEFAULT_LAW,
-    quantity: str = "pressure",
+    excitation: Excitation,
+    quantity: str,
 ) -> Observations:
     """The tables of recordings of one key.
 

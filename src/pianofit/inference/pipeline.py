@@ -260,7 +260,7 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
 
 
 def refine_minima(
-    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int = ITERATIONS
+    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int
 ) -> Minima:
     """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
@@ -281,11 +281,7 @@ def refine_minima(
 
 
 def refine(
-    objective: Objective,
-    theta: np.ndarray,
-    phi: Sequence[np.ndarray],
-    w: Sequence[np.ndarray],
-    steps: int = ITERATIONS,
+    objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray], steps: int
 ) -> Minima:
     """Minimise F and correct each candidate's discretisation error in turn; drop those whose contact does not end.
 
