@@ -108,12 +108,12 @@ def normal_scores(case: Case) -> np.ndarray:
     """Ranks of the true free values in their posterior, as standard normal numbers [free]."""
     from pianofit.inference.laplace import laplace
     from pianofit.inference.objective import Objective
-    from pianofit.inference.pipeline import refine
+    from pianofit.inference.pipeline import ITERATIONS, refine
 
     objective, u = Objective.complete(case.problem), case.problem.parametrisation
     phi = [term.table.prior[0] for term in objective.terms]
     ones = [np.ones_like(term.table.value) for term in objective.terms]
-    _, posterior = laplace(objective, refine(objective, case.theta[None], phi, ones))
+    _, posterior = laplace(objective, refine(objective, case.theta[None], phi, ones, ITERATIONS))
     sd = np.sqrt(np.diagonal(posterior.covariance, axis1=1, axis2=2))[:, u.free]
     z = (u.log_values(case.theta) - posterior.mean)[:, u.free] / sd
     return ndtri(np.clip(posterior.weight @ ndtr(z), 1e-300, 1 - 1e-16))

@@ -128,12 +128,12 @@ def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocitie
     """
     from pianofit.errors import FitError
     from pianofit.inference.objective import Objective
-    from pianofit.inference.pipeline import refine
+    from pianofit.inference.pipeline import ITERATIONS, refine
 
     best = minima.candidates.take(np.array([0]))
     z = point_of(problem, best.theta[0], true, velocities)
     try:
-        end = refine(Objective.complete(problem), z[None], best.phi, best.w)
+        end = refine(Objective.complete(problem), z[None], best.phi, best.w, ITERATIONS)
     except FitError:
         return None
     return float(minima.nll.min() - end.nll[0])

@@ -54,7 +54,9 @@ def main() -> None:
             recordings = [load_recording(file) for file in files]
             problem = build_problem(recordings, [analyse(r, note=note) for r in recordings], setup)
             partials = int((np.asarray(problem.observed.level.detected).sum(axis=0) > 1).sum())
-            if partials < FEWEST or not problem.structure.path_identifiable:
+            layout = problem.structure
+            # Only a path with two velocities can be distinguished from the hammer.
+            if partials < FEWEST or len({*zip(layout.group, layout.stroke, strict=True)}) == layout.groups:
                 continue
             tau = residual_of(problem)
             taus.append(tau)

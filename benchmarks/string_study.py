@@ -16,7 +16,7 @@ import coverage_twins
 import numpy as np
 
 from pianofit.analysis import analyse, envelope_slopes
-from pianofit.inference.curvature import marginalise_nuisances
+from pianofit.inference.curvature import TablePoint, marginalise_nuisances
 from pianofit.inference.objective import Objective
 from pianofit.inference.pipeline import fit_string
 from pianofit.inference.problem import build_problem
@@ -35,7 +35,7 @@ def errors(seed: int) -> tuple[np.ndarray, np.ndarray]:
     curvature = objective.prior(found.theta)[2][0].copy()
     for term, part in zip(objective.terms, found.parts, strict=True):
         point = part.residual[0], part.jacobian[0], part.phi[0], part.w[0], found.theta[0]
-        curvature += marginalise_nuisances(term.table, *point, HYPER).curvature
+        curvature += marginalise_nuisances(TablePoint(term.table, *point, HYPER)).curvature
     at = [problem.parametrisation.index_of(name) for name in LOSSES]
     string = problem.parametrisation.index_of("c"), problem.parametrisation.index_of("kappa"), *at
     covariance = np.linalg.inv(curvature[np.ix_(string, string)])

@@ -154,7 +154,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     }  # fmt: skip
     return {
         HAMMERS: lambda: model.levels(many),
-        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), model.inputs, model.cfg),
+        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), model.inputs, model.cfg, BATCH_SIZE),
         OBJECTIVE: lambda: evaluate(table, *at),
     }, sizes
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pianofit.analysis import Analysis, Partials
+from pianofit.felt import DEFAULT_LAW
 from pianofit.model import simulate
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
@@ -15,6 +16,7 @@ from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.setup import Setup
 
 F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
+PRESSURE = DEFAULT_LAW, "pressure"  # excitation and quantity of the tables of `observe`
 
 
 def frequency(number: np.ndarray, f0: float = F0) -> np.ndarray:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from pianofit.inference.excess import TablePoint, excess_nodes
+from pianofit.inference.curvature import TablePoint
+from pianofit.inference.excess import excess_nodes
 from pianofit.inference.likelihood import ObservationTable
 
 SPREAD = 3.0  # of the prior of log σ: the levels decide

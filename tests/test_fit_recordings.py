@@ -117,7 +117,6 @@ def test_groups_and_gain_groups_are_the_setups():
     assert layout.stroke == (0, 1, 2)
     assert len(set(layout.group)) == 3
     assert layout.gain[0] == layout.gain[1] != layout.gain[2]
-    assert not layout.path_identifiable
     # Three paths, each with a gain, and three onsets. No path has several gains.
     assert len(problem.observed.level.columns) == 3 + 3
 

@@ -104,7 +104,7 @@ def test_the_parabola_touches_F_from_above(shape):
     residual, w, theta = point(shape)
     random = np.random.default_rng(3)
     jacobian = random.normal(size=(*residual.shape, len(theta)))
-    surrogate = QuadraticSurrogate.of(t, PHI, w, residual, theta)
+    surrogate = QuadraticSurrogate.at_residual(t, PHI, w, residual, theta)
     here = surrogate.evaluate(residual[None], jacobian[None])
     _, gradient, hessian, *_ = evaluate_one(t, residual, jacobian, PHI, w, theta)
     by_covariance = evaluate_one(t, residual, 0 * jacobian, PHI, w, theta).gradient  # the surrogate's is fixed
@@ -131,7 +131,8 @@ def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
     weight, answers = node_weights(t, per_node[None])[0], t.log_weight.shape[1]
     assert answers > 1
     for gains in range(answers):
-        rise = QuadraticSurrogate.of(t, PHI, w, residual, theta, gains).evaluate(moved, np.zeros((*moved.shape, 1))).nll
+        surrogate = QuadraticSurrogate.at_residual(t, PHI, w, residual, theta, gains)
+        rise = surrogate.evaluate(moved, np.zeros((*moved.shape, 1))).nll
         p = weight[:, gains] / weight[:, gains].sum()
         above = (p * (per_node[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
         # Priors of φ and w.
@@ -150,8 +151,8 @@ def test_parabolas_before_a_residual_is_known_are_on_one_scale():
         solve_nodes(t, *(x[None] for x in (nothing, PHI, np.ones_like(nothing), alike))).nll_per_node[0] - t.log_weight
     )
     middle = len(per_node) // 2
-    for gains in range(per_node.shape[1]):
-        found = QuadraticSurrogate.of(t, PHI, gains=gains).evaluate(nothing[None], np.zeros((1, *nothing.shape, 1)))
+    for gains, surrogate in enumerate(QuadraticSurrogate.of_gains(t, PHI)):
+        found = surrogate.evaluate(nothing[None], np.zeros((1, *nothing.shape, 1)))
         assert found.nll[0] == pytest.approx(per_node[middle, gains], rel=1e-12)
 
 

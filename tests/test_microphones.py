@@ -25,7 +25,6 @@ def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
     assert problem.parametrisation.strokes == 3
     assert problem.measured_velocity == (None, None, VELOCITIES[2])
     assert problem.reference == 2
-    assert layout.path_identifiable
 
 
 def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from observed_cases import B1, D2, F0, analysis, frequency
+from observed_cases import B1, D2, F0, PRESSURE, analysis, frequency
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
@@ -22,7 +22,7 @@ MICROPHONES = RecordingStructure((0, 0), (0, 1), (0, 1))
 
 def observed(layout: RecordingStructure = TWO, *, path: bool = True, gains: bool = True, unit: float = 0.0):
     analyses = [LOUD, SOFT] if len(layout.stroke) > 1 else [LOUD]
-    return observe(analyses, layout, 0, unit, path, gains)
+    return observe(analyses, layout, 0, unit, path, gains, *PRESSURE)
 
 
 def bounds(table) -> dict[tuple[int, int], float]:
@@ -45,8 +45,8 @@ def test_what_is_absent_stands_at_its_bound():
     assert bounds(observed().level) == {(0, 3): -70.0, (1, 2): -61.0, (1, 4): -62.0}
     nowhere = analysis([1, 3], [0.0, -5.0], absent=[2, 4], bound=[-50.0, -51.0])
     # A partial that no recording shows counts only without an unknown path.
-    assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True).level) == {}
-    calibrated = observe([nowhere], ALONE, 0, 0.0, False, False)
+    assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True, *PRESSURE).level) == {}
+    calibrated = observe([nowhere], ALONE, 0, 0.0, False, False, *PRESSURE)
     assert calibrated.number.tolist() == [1, 2, 3]
     assert bounds(calibrated.level) == {(0, 1): -50.0}
     assert calibrated.level.variance[0, 1] == priors.CENSORED_MARGIN**2
@@ -84,16 +84,8 @@ def test_nodes_are_of_paths_and_of_gains():
 def test_two_microphones_share_a_stroke_and_no_path():
     assert MICROPHONES.strokes == 1
     assert MICROPHONES.groups == 2
-    assert not MICROPHONES.path_identifiable
     np.testing.assert_array_equal(observed(MICROPHONES).level.group, np.eye(2))
     np.testing.assert_array_equal(observed().level.group, np.ones((2, 1)))
-
-
-def test_only_a_path_with_two_velocities_compares_anything():
-    assert RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)).path_identifiable
-    assert not RecordingStructure((0, 1), (0, 1), (0, 1)).path_identifiable  # one path each
-    assert not ALONE.path_identifiable
-    assert TWO.path_identifiable
 
 
 def test_the_residual_of_every_path_is_integrated_over():
@@ -105,7 +97,9 @@ def test_the_residual_of_every_path_is_integrated_over():
         regimes = len(layout.stroke)  # one recording, or shared and separate gains
         np.testing.assert_allclose(level.log_tau, x[:, None])
         np.testing.assert_allclose(np.exp(level.log_weight), weight[:, None] / regimes * np.ones(regimes))
-    both = observe([LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
+    both = observe(
+        [LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True, *PRESSURE
+    ).level
     np.testing.assert_allclose(both.log_tau, x[:, None] * np.ones(2))
     calibrated = observed(path=False, gains=False).level
     assert not calibrated.has_unknown_path.any()
@@ -127,7 +121,7 @@ def test_recordings_are_laid_on_one_law():
     # Two recordings halve the variance of the noise; each partial counts once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
     sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)
-    assert observe([sharp], ALONE, 0, 0.0, True, True).cents == pytest.approx([1.5])
+    assert observe([sharp], ALONE, 0, 0.0, True, True, *PRESSURE).cents == pytest.approx([1.5])
 
 
 def beating(seed: int, f0: float = 110.0, rate: int = 44_100) -> Recording:
@@ -176,4 +170,4 @@ def test_the_strings_law_has_the_derivatives_it_says():
 def test_partials_above_the_top_stand_in_no_table():
     high = analysis([1, 20, 40], [0.0, -20.0, -30.0])
     assert frequency(np.array([40]))[0] > observation_tables.HIGHEST_HZ
-    assert observe([high], ALONE, 0, 0.0, True, True).number.max() == 20
+    assert observe([high], ALONE, 0, 0.0, True, True, *PRESSURE).number.max() == 20

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from table_cases import PHI, dense, evaluate_one, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.curvature import marginalise_nuisances
+from pianofit.inference.curvature import TablePoint, marginalise_nuisances
 from pianofit.inference.laplace import Posterior, _log_curvature
 from pianofit.inference.likelihood import em_weights
 
@@ -23,7 +23,7 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     t = table("no path")._replace(degrees_of_freedom=jnp.asarray(1e9), censored=jnp.zeros((0, 2), int), prior=known)
     residual, _, theta = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, len(theta)))
-    found, *_ = marginalise_nuisances(t, residual, jacobian, PHI, w, theta, (0,))
+    found, *_ = marginalise_nuisances(TablePoint(t, residual, jacobian, PHI, w, theta, (0,)))
     detected = np.asarray(t.detected).ravel() > 0
     covariance = (shared(t, PHI, (0, 0), theta) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
     rows = jacobian.reshape(-1, len(theta))[detected]
@@ -70,7 +70,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     for hyper in (1, 5):
         nuisances = np.r_[size : size + hyper, size + 5 : len(H)]
         rest, cross = H[np.ix_(nuisances, nuisances)], H[nuisances, :size]
-        found, volume, _ = marginalise_nuisances(t, residual, jacobian, PHI, w, theta, range(hyper))
+        found, volume, _ = marginalise_nuisances(TablePoint(t, residual, jacobian, PHI, w, theta, (*range(hyper),)))
         np.testing.assert_allclose(found, known - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4)
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
         # Unknown φ and w lower the precision of θ.

@@ -25,7 +25,7 @@ from pianofit.inference.multistart import (
 )
 from pianofit.inference.objective import Objective, QuadraticSurrogate
 from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
-from pianofit.inference.pipeline import fit_string, refine_minima
+from pianofit.inference.pipeline import ITERATIONS, fit_string, refine_minima
 from pianofit.literature import preset
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES
@@ -62,7 +62,7 @@ def wide() -> np.ndarray:
 
 def surrogate() -> QuadraticSurrogate:
     """The surrogate before any residual is known."""
-    return QuadraticSurrogate.of(problem().observed.level, wide())
+    return QuadraticSurrogate.of_gains(problem().observed.level, wide())[-1]
 
 
 def samples(objective: Objective, count: int) -> np.ndarray:
@@ -263,7 +263,7 @@ def endless(monkeypatch):
 
 def test_a_search_in_which_no_contact_ends_says_so(endless):
     with pytest.raises(FitError, match=r"\[bounds\]"):
-        multistart(of_levels(), 0, problem().parametrisation.mean[None])
+        multistart(of_levels(), 0, problem().parametrisation.mean[None], lambda *_: None)
 
 
 def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(request):
@@ -272,7 +272,7 @@ def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(request):
     own, scores = fit_string(problem()), objective.total(candidates)
     request.getfixturevalue("endless")
     with pytest.raises(FitError, match=r"\[bounds\]"):
-        refine_minima(Objective.complete(problem()), candidates, scores, own)
+        refine_minima(Objective.complete(problem()), candidates, scores, own, ITERATIONS)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.3, 0.6), (3.0, 4.0)])

@@ -99,7 +99,7 @@ def fit(
         (sound,), (analysis,) = read_and_analyse((recording,), analyses, channel, note, f0, report)
         if velocity is None:
             velocity = recording_info_for(setup, sound.path, alone=True).v_H0
-        start = starting_values(analysis, replace(setup, recordings=()), velocity)
+        start = starting_values(analysis, setup, velocity)
         found = search_parameters(sound, analysis, start, method, evaluations=evaluations, seed=seed, progress=report)
         opening = OPENING[method] + (FELT_UNKNOWN if start.scale is None else "")
         return point_result(

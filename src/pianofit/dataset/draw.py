@@ -121,7 +121,7 @@ class _Centre:
             reference_hammer=Hammer(*note.hammer[: len(HAMMER_NAMES)]),
             law=law,
         )
-        u_ref = 0.0 if fixed else reference_compression(midi_of(float(note.f0)))
+        u_ref = None if fixed else reference_compression(midi_of(float(note.f0)))
         return prior_parametrisation(start, [None] * self._options.layers, u_ref)
 
     def draw(self, random: np.random.Generator, spread: float) -> list[Note]:

@@ -131,9 +131,7 @@ def thread_pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores())
 
 
-def run_in_batches(
-    program: Callable, batch: tuple, inputs: Any, cfg: Any, size: int = BATCH_SIZE
-) -> tuple[np.ndarray, ...]:
+def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size: int) -> tuple[np.ndarray, ...]:
     """Run `program` on any number of strokes, `size` at a time, on all cores.
 
     Parameters

@@ -15,7 +15,6 @@ Nodes are summed as in F. The few second derivatives by φ are differences of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +26,18 @@ from .likelihood import ObservationTable, variance
 NEGATIVE = 1e-3
 
 
+class TablePoint(NamedTuple):
+    """One table at a minimum."""
+
+    table: ObservationTable
+    residual: np.ndarray  # [R, K]
+    jacobian: np.ndarray  # [R, K, size]
+    phi: np.ndarray  # [5]
+    w: np.ndarray  # [R, K]
+    theta: np.ndarray  # [size]
+    hyper: tuple[int, ...]  # indices of the hyperparameters φ that are integrated out
+
+
 class Marginal(NamedTuple):
     """F of one table at a point, with hyperparameters and log-weights integrated out of its curvature."""
 
@@ -35,28 +46,22 @@ class Marginal(NamedTuple):
     nll: float  # F
 
 
-def marginalise_nuisances(
-    table: ObservationTable,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    phi: np.ndarray,
-    w: np.ndarray,
-    theta: np.ndarray,
-    hyper: Sequence[int],
-) -> Marginal:
-    """Curvature by θ with the entries `hyper` of φ and all log-weights integrated out.
+def marginalise_nuisances(point: TablePoint) -> Marginal:
+    """Curvature by θ with the unknown entries of φ and all log-weights integrated out.
 
     The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
     is that of the velocities at θ.
     """
+    table, *values, hyper = point
+    hyper = list(hyper)
     detected, step = np.asarray(table.detected) > 0, 1e-4
-    cross, by_weights = _by_weights(table, residual, jacobian, phi, w, theta)
-    r, J, ws, thetas = (np.repeat(x[None], len(hyper) + 1, axis=0) for x in (residual, jacobian, w, theta))
-    steps = np.concatenate([np.zeros((1, len(phi))), step * np.eye(len(phi))[list(hyper)]])
-    found = evaluate(table, r, J, phi + steps, ws, thetas)
+    cross, by_weights = _by_weights(point)
+    r, J, phi, w, theta = (np.repeat(x[None], len(hyper) + 1, axis=0) for x in values)
+    phi[1:] += step * np.eye(phi.shape[1])[hyper]
+    found = evaluate(table, r, J, phi, w, theta)
     curvature = found.curvature[0]
     by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
-    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, list(hyper)] / step
+    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, hyper] / step
     gradient = found.gradient - found.by_covariance
     cross = np.concatenate([(gradient[1:] - gradient[0]) / step, cross])
     nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
@@ -74,25 +79,19 @@ def marginalise_nuisances(
     return Marginal(root @ root.T, float(np.log(value).sum()), float(found.nll[0]))
 
 
-def _by_weights(
-    table: ObservationTable,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    phi: np.ndarray,
-    w: np.ndarray,
-    theta: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_weights(point: TablePoint) -> tuple[np.ndarray, np.ndarray]:
     """F's second derivatives by log w of the n detected entries: with θ [n, size], and with log w [n, n]."""
+    table, residual, jacobian, phi, w, theta, _ = point
     at = np.flatnonzero(np.asarray(table.detected))
     J, bound = jacobian.reshape(-1, jacobian.shape[-1])[at], jacobian[tuple(table.censored.T)]
     one = [x[None] for x in (residual, phi, w, theta)]
-    point = Points.at(table, *one)
-    inverse, v = dense_inverse(table, point.nodes.factors)[0], variance(table, *one[1:3]).ravel()[at]
+    points = Points.at(table, *one)
+    inverse, v = dense_inverse(table, points.nodes.factors)[0], variance(table, *one[1:3]).ravel()[at]
     cross, hessian = np.zeros((len(at), J.shape[1])), np.diag(0.5 * float(table.degrees_of_freedom) * w.ravel()[at])
     slopes = []
-    for node, weight in np.ndenumerate(point.weight[0]):
+    for node, weight in np.ndenumerate(points.weight[0]):
         P = inverse[node][np.ix_(at, at)]
-        *first, node_cross, node_hessian = _at_node(point, node, at, P, v, J, bound)
+        *first, node_cross, node_hessian = _at_node(points, node, at, P, v, J, bound)
         slopes.append((weight, *first))
         cross += weight * node_cross
         hessian += weight * node_hessian

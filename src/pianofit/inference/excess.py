@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .curvature import marginalise_nuisances
+from .curvature import TablePoint, marginalise_nuisances
 from .derivatives import evaluate
-from .likelihood import ObservationTable, em_weights
+from .likelihood import em_weights
 
 # First distance of two nodes of log σ, in standard deviations of log σ if no parameter followed the levels: 1/√(2n).
 # Each further one is twice as far from the minimum. The trapezoidal rule integrates a Gaussian at this spacing to 2 %.
@@ -41,27 +41,14 @@ class ExcessNodes(NamedTuple):
     score: np.ndarray  # log marginal density with σ of the other tables at the minimum, over the highest [nodes]
 
 
-class TablePoint(NamedTuple):
-    """One table at a minimum."""
-
-    table: ObservationTable
-    residual: np.ndarray  # [R, K]
-    jacobian: np.ndarray  # [R, K, size]
-    phi: np.ndarray  # [5]
-    w: np.ndarray  # [R, K]
-    theta: np.ndarray  # [size]
-    others: tuple[int, ...]  # indices of the unknown hyperparameters φ besides σ
-
-
 def _node(point: TablePoint, log_sigma: float) -> tuple[float, np.ndarray]:
     """-F - ½ log|H| of φ and log w at a σ, and the curvature by θ [size, size]."""
-    table, residual, jacobian, phi, w, theta, others = point
-    phi = phi.copy()
-    phi[0] = log_sigma
+    moved = point._replace(phi=np.array([log_sigma, *point.phi[1:]]))
     if log_sigma != point.phi[0]:  # one step of EM: the weights change little with σ
-        one = evaluate(table, *(x[None] for x in (residual, jacobian, phi, w, theta)))
-        w = em_weights(table, one.by_log_w[0], w)
-    found = marginalise_nuisances(table, residual, jacobian, phi, w, theta, others)
+        table, *values, _ = moved
+        one = evaluate(table, *(x[None] for x in values))
+        moved = moved._replace(w=em_weights(table, one.by_log_w[0], moved.w))
+    found = marginalise_nuisances(moved)
     return -found.nll - 0.5 * found.log_det, found.curvature
 
 

@@ -100,18 +100,19 @@ class JointPrior:
         return 0.5 * (weighted * r).sum(axis=1), gradient, np.einsum("bqm,qr,brn->bmn", J, self.precision, J)
 
 
-def with_key_prior(u: Parametrisation, record: KeyPrior, loudest: int | None) -> Parametrisation:
+def with_key_prior(u: Parametrisation, record: KeyPrior, reference: int | None) -> Parametrisation:
     """Replace the literature's prior by that of the other keys.
 
     Parameters
     ----------
-    loudest : index in θ of the velocity of the loudest stroke; None if the scale of the velocities is given.
+    reference : index in θ of the velocity of the reference stroke, which has the brightest recording; None if the scale
+        of the velocities is given.
     """
     table = _rows(u)
     rows = {name: table[name] for name in record.names if name in table and _has(u, name, table[name])}
     if not rows:
         return u
-    u = _with_velocity(u, record, loudest)
+    u = _with_velocity(u, record, reference)
     kept = [record.names.index(name) for name in rows]
     mean, covariance = np.array(record.mean)[kept], np.array(record.covariance)[np.ix_(kept, kept)]
     entries = np.array([np.flatnonzero(row)[0] for row, _ in rows.values()])
@@ -123,11 +124,11 @@ def with_key_prior(u: Parametrisation, record: KeyPrior, loudest: int | None) ->
     return replace(u, mean=theta, sd=sd, joint=joint)
 
 
-def _with_velocity(u: Parametrisation, record: KeyPrior, loudest: int | None) -> Parametrisation:
-    if loudest is None:
+def _with_velocity(u: Parametrisation, record: KeyPrior, reference: int | None) -> Parametrisation:
+    if reference is None:
         return u
     mean, sd = u.mean.copy(), u.sd.copy()
-    mean[loudest], sd[loudest] = np.log(record.velocity), record.velocity_sd
+    mean[reference], sd[reference] = np.log(record.velocity), record.velocity_sd
     return replace(u, mean=mean, sd=sd)
 
 
@@ -170,7 +171,7 @@ def _invariant_map(u: Parametrisation, record: KeyPrior, rows: dict[str, tuple[n
     constant = constant + linear @ origin
     linear = linear @ (u.model_entries(np.eye(u.size)) - origin).T
     force, exponent = (np.array([float(name == own) for name in rows]) for own in (FORCE, EXPONENT))
-    return InvariantMap(linear, constant, force, exponent, record.compression, u.reference_compression)
+    return InvariantMap(linear, constant, force, exponent, record.compression, u.reference_compression or 0.0)
 
 
 def _centre(

@@ -21,7 +21,8 @@ import numpy as np
 from scipy.special import erfcx, ndtr
 
 from ..conversions import HALF_WIDTH_95
-from .excess import NEGLIGIBLE, ExcessNodes, TablePoint, excess_nodes
+from .curvature import TablePoint
+from .excess import NEGLIGIBLE, ExcessNodes, excess_nodes
 from .objective import HYPER_REACH, Candidates, Objective
 
 # Indices of the unknown hyperparameters φ besides σ, of the tables of levels, frequencies and decays.

@@ -138,7 +138,7 @@ def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) ->
     return (table.variance + excess + interference_db(table, phi, xp) ** 2) / w
 
 
-def _matern(table: ObservationTable, phi: Values, xp: Space = np) -> tuple[Values, Values]:
+def _matern(table: ObservationTable, phi: Values, xp: Space) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [B, K, K]."""
     d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[:, 2, None, None])
     growth = xp.sqrt(table.variance_profile)
@@ -177,9 +177,7 @@ def flattened(x: Values) -> Values:
     return x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
 
 
-def factor_covariance(
-    table: ObservationTable, phi: Values, w: Values, theta: Values, xp: Space = np
-) -> CovarianceFactors:
+def factor_covariance(table: ObservationTable, phi: Values, w: Values, theta: Values, xp: Space) -> CovarianceFactors:
     """Factor the covariance at φ, w and the velocities in θ [B, ...]."""
     entry_variance = variance(table, phi, w, xp)
     walk = xp.exp(2 * phi[:, 4, None, None]) * walk_covariance(table, theta, xp)

@@ -64,7 +64,7 @@ Points = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 
 
-def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Progress = lambda *_: None) -> Candidates:
+def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Progress) -> Candidates:
     """Find the minima of F of the levels; the lowest is first.
 
     Parameters
@@ -79,7 +79,7 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
     # Before a hammer is known, it is open whether recordings share a gain: each answer has its own hammers.
-    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
+    surrogates = QuadraticSurrogate.of_gains(table, phi)
     fixed = [objective.with_surrogate(surrogate) for surrogate in surrogates]
     values, geometry = objective.problem.initial_values.law.stroke, objective.problem.initial_values.geometry
     coarse, fine = values.coarse(geometry), values.fine(geometry)
@@ -130,7 +130,7 @@ def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candida
     """
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
-    surrogates = [QuadraticSurrogate.of(table, phi, gains=node) for node in range(len(table.scale))]
+    surrogates = QuadraticSurrogate.of_gains(table, phi)
     values = objective.problem.initial_values
     ranked = rank_hammers(objective, starts, values.law.stroke.fine(values.geometry), surrogates)
     theta = np.concatenate([starts, *ranked])
@@ -200,7 +200,7 @@ def _restarted(objective: Objective, candidates: Candidates, points: Points, gai
     """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
     at = best.level.phi[0], best.level.w[0], best.level.residual[0], best.theta[0]
-    surrogate = QuadraticSurrogate.of(objective.problem.observed.level, *at, gains)
+    surrogate = QuadraticSurrogate.at_residual(objective.problem.observed.level, *at, gains)
     fixed = objective.with_surrogate(surrogate)
     trials = fixed.start(points(best, surrogate), best.phi, best.w, best.offset)
     if not len(trials):

@@ -142,7 +142,7 @@ def _chain(key, at: DensityContext, settings: tuple[StaticConfig, int, int]):
 
     def draw(state: Any, key):
         state, info = step(key, state)
-        theta = reflect_into_bounds(at, state.position.whitened, cfg.law)
+        theta = reflect_into_bounds(at, state.position.whitened)
         likelihoods = log_likelihood(at, state.position, cfg)
         return state, (theta, info.acceptance_rate, info.is_divergent, info.num_integration_steps, *likelihoods)
 
@@ -238,20 +238,20 @@ def random_start(at: DensityContext, key, spread: float) -> Point:
 def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
     """-F; minus infinity where a contact does not end."""
     at = jax.tree.map(jnp.asarray, at)
-    return -negative_log_density(at, *_unknowns(at, point, cfg), cfg)
+    return -negative_log_density(at, *_unknowns(at, point), cfg)
 
 
 def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
     at = jax.tree.map(jnp.asarray, at)
-    densities = [pointwise(*term, xp=jnp) for term in table_terms(at, *_unknowns(at, point, cfg), cfg)[1]]
+    densities = [pointwise(*term, xp=jnp) for term in table_terms(at, *_unknowns(at, point), cfg)[1]]
     detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
     return *detected, densities[0][1]
 
 
-def _unknowns(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, list[Array], list[Array]]:
+def _unknowns(at: DensityContext, point: Point) -> tuple[Array, list[Array], list[Array]]:
     """θ inside the bounds, and φ and w of every table."""
-    theta, phis, ws = reflect_into_bounds(at, point.whitened, cfg.law), [], []
+    theta, phis, ws = reflect_into_bounds(at, point.whitened), [], []
     for table, phi, w, index, x, y in zip(at.tables, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True):
         centre, sd = table.prior
         reach = HYPER_REACH * sd if table is at.tables[0] else jnp.full_like(sd, jnp.inf)

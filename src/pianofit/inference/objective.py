@@ -157,40 +157,36 @@ class QuadraticSurrogate(NamedTuple):
     constant: float  # makes surrogates of several nodes of the gains comparable
 
     @classmethod
-    def of(
+    def of_gains(cls, table: ObservationTable, phi: np.ndarray) -> list[QuadraticSurrogate]:
+        """One for each node of the gains, before a residual is known: at the middle τ, at w = 1 and equal velocities.
+
+        Their constants are those of a zero residual.
+        """
+        ones, velocities = np.ones_like(table.value), np.zeros(table.velocity.shape[1])
+        nodes = solve_nodes(table, *(x[None] for x in (0 * ones, phi, ones, velocities)))
+        middle, at = len(table.log_tau) // 2, np.flatnonzero(np.asarray(table.detected))
+        constants = (nodes.nll_per_node[0] - table.log_weight)[middle]
+        inverses = dense_inverse(table, nodes.factors)[0, middle]
+        return [cls(table, Q[np.ix_(at, at)], at, float(own)) for Q, own in zip(inverses, constants, strict=True)]
+
+    @classmethod
+    def at_residual(
         cls,
         table: ObservationTable,
         phi: np.ndarray,
-        w: np.ndarray | None = None,
-        residual: np.ndarray | None = None,
-        theta: np.ndarray | None = None,
+        w: np.ndarray,
+        residual: np.ndarray,
+        theta: np.ndarray,
         gains: int | None = None,
     ) -> QuadraticSurrogate:
-        """Build it at φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
-
-        Parameters
-        ----------
-        theta : θ with the velocities of the strokes. If None, all are equal: their covariance is 0.
-        residual : if None, only the node of the middle τ is used, and the constant is that of a zero residual.
-        gains : one node of the gains. If None, all are used, or the last without a residual.
-        """
-        ones = np.ones_like(table.value)
-        residuals, weights = 0 * ones if residual is None else residual, ones if w is None else w
-        velocities = np.zeros(table.velocity.shape[1]) if theta is None else theta
-        nodes = solve_nodes(table, *(x[None] for x in (residuals, phi, weights, velocities)))
-        nll_per_node = nodes.nll_per_node[0]
+        """Build it at φ, w, `residual` [R, K] and the velocities in θ, with all nodes of the gains or one."""
+        nodes = solve_nodes(table, *(x[None] for x in (residual, phi, w, theta)))
         weight = node_weights(table, nodes.nll_per_node)[0]
-        if residual is None:
-            weight = np.zeros_like(weight)
-            weight[len(weight) // 2] = 1.0
-            gains = -1 if gains is None else gains
         if gains is not None:
-            selected = np.zeros_like(weight)
-            selected[:, gains] = weight[:, gains] + np.finfo(float).tiny
-            weight = selected / selected.sum()
+            weight = np.where(np.arange(weight.shape[1]) == gains, weight + np.finfo(float).tiny, 0.0)
+            weight /= weight.sum()
         at = np.flatnonzero(np.asarray(table.detected))
-        constant = float((weight * (nll_per_node - table.log_weight)).sum()) if residual is None else 0.0
-        return cls(table, np.tensordot(weight, dense_inverse(table, nodes.factors)[0], 2)[np.ix_(at, at)], at, constant)
+        return cls(table, np.tensordot(weight, dense_inverse(table, nodes.factors)[0], 2)[np.ix_(at, at)], at, 0.0)
 
     def dense(self) -> np.ndarray:
         """Q of all entries, 0 for entries that are not detected [R, K, R, K]."""

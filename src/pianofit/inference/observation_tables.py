@@ -10,7 +10,6 @@ import numpy as np
 from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
 from ..excitation import Excitation
-from ..felt import DEFAULT_LAW
 from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
@@ -43,11 +42,6 @@ class RecordingStructure:
         """Number of paths."""
         return max(self.group) + 1
 
-    @property
-    def path_identifiable(self) -> bool:
-        """True if one path has two velocities; without that, path and hammer cannot be distinguished."""
-        return len({*zip(self.group, self.stroke, strict=True)}) > self.groups
-
 
 @dataclass(frozen=True)
 class Observations:
@@ -79,8 +73,8 @@ def observe(
     unit: float,
     path: bool,
     gains: bool,
-    excitation: Excitation = DEFAULT_LAW,
-    quantity: str = "pressure",
+    excitation: Excitation,
+    quantity: str,
 ) -> Observations:
     """The tables of recordings of one key.
 

@@ -53,7 +53,7 @@ class Parametrisation:
     sd: np.ndarray  # 0: fixed at the mean
     lower: np.ndarray  # bounds of the values' logarithms, so of K_H in place of the force
     upper: np.ndarray
-    reference_compression: float  # of the searched force, m; 0 if the stiffness is searched, or given
+    reference_compression: Any  # of the searched force, m; None if the stiffness is searched, or given
     geometry: Geometry  # strike position and contact width are parameters
     law: Excitation
     sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
@@ -81,7 +81,7 @@ class Parametrisation:
     @cached_property
     def force_and_exponent_index(self) -> tuple[int, int] | None:
         """Index of the force at the reference compression, in place of the stiffness, and of the exponent."""
-        if self.law.power is None or not self.reference_compression:
+        if self.law.power is None or self.reference_compression is None:
             return None
         return self.index_of(self.law.power[0]), self.index_of(self.law.power[1])
 
@@ -118,13 +118,13 @@ class Parametrisation:
         own = self.free if self.joint is None else self.free & ~self.joint.replaced
         return np.where(own, 1 / np.where(own, self.sd, 1.0) ** 2, 0.0)
 
-    # --- coordinates: θ has the force, log values have K_H ------------------------------------------------------------
+    # --- coordinates: θ has the force, log values have K_H; θ may also be an array of JAX -----------------------------
 
-    def size_changes(self, theta: np.ndarray) -> np.ndarray:
+    def size_changes(self, theta: Any) -> Any:
         """δ, the logarithms of the sizes over their given values [..., sizes]."""
         return theta[..., self.velocities.stop :] - self.mean[self.velocities.stop :]
 
-    def model_entries(self, theta: np.ndarray) -> np.ndarray:
+    def model_entries(self, theta: Any) -> Any:
         """`theta` as the model gets it, at the given sizes [..., size]."""
         if not self.sizes:
             return theta
@@ -142,29 +142,32 @@ class Parametrisation:
             jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
         return jacobian * self.free
 
-    def _shift(self, theta: np.ndarray) -> np.ndarray:
+    def _shift(self, theta: Any) -> Any:
         """θ minus the log values [..., size]: p log g(u_ref) for the force, -Σ g δ for values that were not given.
 
         θ and log values have the same p and sizes.
         """
-        shift = np.zeros(theta.shape)
+        xp = theta.__array_namespace__()
+        shift = xp.zeros(theta.shape)
         if self.sizes:
             shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            shift[..., force] += np.exp(theta[..., p]) * self._log_base(theta)
+            power = xp.exp(theta[..., p]) * self._log_base(theta)
+            shift += xp.where(np.arange(self.size) == force, power[..., None], 0.0)
         return shift
 
-    def _log_base(self, theta: np.ndarray) -> np.ndarray:
+    def _log_base(self, theta: Any) -> Any:
         """log g(u_ref), the logarithm of the base of the felt's power at the reference compression [...]."""
-        values = {name: np.exp(theta[..., self.index_of(name)]) for name in self.law.parameters}
-        return np.log(self.law.power_base(self.reference_compression, values))
+        xp = theta.__array_namespace__()
+        values = {name: xp.exp(theta[..., self.index_of(name)]) for name in self.law.parameters}
+        return xp.log(self.law.power_base(self.reference_compression, values))
 
     def log_values(self, theta: np.ndarray) -> np.ndarray:
         """`theta` with log K_H in place of the force [..., size]."""
         return theta - self._shift(theta)
 
-    def from_log_values(self, logs: np.ndarray) -> np.ndarray:
+    def from_log_values(self, logs: Any) -> Any:
         """θ from the `log_values` of it [..., size]."""
         return logs + self._shift(logs)
 
@@ -225,7 +228,7 @@ class Parametrisation:
         """Bounds of the logarithm of one value."""
         return float(self.lower[i]), float(self.upper[i])
 
-    def bounds_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def bounds_at(self, theta: Any) -> tuple[Any, Any]:
         """Lower and upper bounds of θ at `theta` [..., size]: those of the force depend on p, others on sizes."""
         shift = self._shift(theta)
         return self.lower + shift, self.upper + shift

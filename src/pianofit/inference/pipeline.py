@@ -108,7 +108,7 @@ class InferenceResult:
         objective = Objective.of_levels(replace(self.problem, parametrisation=fixed), string)
         table, phi = self.problem.observed.level, self.estimate.minima.candidates.level.phi[:1]
         offset = objective.level_model.discretisation_error_db(theta[None])[0]
-        surrogates = [QuadraticSurrogate.of(table, phi[0], gains=node) for node in range(len(table.scale))]
+        surrogates = QuadraticSurrogate.of_gains(table, phi[0])
         hammers = fixed.project(np.stack([self.initial_theta, theta]))
         values = u.law.stroke.fine(self.problem.initial_values.geometry)
         starts = np.concatenate(rank_hammers(objective, hammers, values, surrogates, offset))
@@ -260,7 +260,7 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
 
 
 def refine_minima(
-    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int = ITERATIONS
+    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int
 ) -> Minima:
     """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
@@ -281,11 +281,7 @@ def refine_minima(
 
 
 def refine(
-    objective: Objective,
-    theta: np.ndarray,
-    phi: Sequence[np.ndarray],
-    w: Sequence[np.ndarray],
-    steps: int = ITERATIONS,
+    objective: Objective, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray], steps: int
 ) -> Minima:
     """Minimise F and correct each candidate's discretisation error in turn; drop those whose contact does not end.
 

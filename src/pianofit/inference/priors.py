@@ -147,7 +147,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
 
     Parameters
     ----------
-    velocity : measured hammer velocity, m/s. It overrides the setup's.
+    velocity : measured hammer velocity of the reference recording, m/s.
     """
     spread, setup = setup.relative_sds, setup.exact
     key = float(np.clip(midi_of(analysis.f0), 21, 108))
@@ -189,9 +189,8 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
 
 def _fixed_stroke(setup: Setup, velocity: float | None, values: dict[str, float]) -> dict[str, str]:
     """Status of the hammer velocity; a measured one is added to `values`."""
-    measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
-    if measured is not None:
-        values["v_H0"] = float(measured)
+    if velocity is not None:
+        values["v_H0"] = float(velocity)
         return {"v_H0": "fixed"}
     return {} if setup.pickup_scale is not None or "v_H0" in setup.fixed else {"v_H0": "assumed"}
 

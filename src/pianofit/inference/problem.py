@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -91,7 +91,7 @@ class FitProblem:
     cfg: StaticConfig
 
     @property
-    def path(self) -> bool:
+    def has_unknown_path(self) -> bool:
         """True if an unknown path lies between the bridge and the file."""
         return self.initial_values.unknown_path
 
@@ -170,7 +170,7 @@ def build_problem(
     reference = order.index(max(order))
     stroke = structure.stroke[reference]
     analyses = tuple(analysis.with_decay_law(analyses[reference]) for analysis in analyses)
-    start = starting_values(analyses[reference], replace(setup, recordings=()), measured[stroke])
+    start = starting_values(analyses[reference], setup, measured[stroke])
     unnamed = "v_H0" in setup.fixed and measured[stroke] is None
     if unnamed:
         given[stroke] = setup.fixed["v_H0"]
@@ -262,14 +262,14 @@ def _model(
     first = simulate(string, nominal, geometry, rate=rate, quantity=start.quantity)
     # A given stiffness is fixed as it is.
     fixed = law.power is None or law.power[0] in start.fixed
-    u_ref = 0.0 if fixed else reference_compression(midi_of(string.c / (2 * geometry.length)))
+    u_ref = None if fixed else reference_compression(midi_of(string.c / (2 * geometry.length)))
     unknowns = prior_parametrisation(start, measured, u_ref)
     round_trip = 2 * geometry.strike_position / string.c
     contact_rate, steps, rows = simulation_grid(first, round_trip, int(observed.number.max()), LONGEST)
     free = np.append(np.flatnonzero(unknowns.moving[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     sizes = Geometry(*map(np.float64, geometry))  # pyright: ignore[reportArgumentType]
-    inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(u_ref), np.int64(steps), free)
+    inputs = ModelInputs(sizes, np.float64(contact_rate), np.float64(u_ref or 0.0), np.int64(steps), free)
     # Without contact, modes above the highest partial have no effect.
     modes = max(first.modes.pole.shape[0] if law.has_contact else 0, rows)
     knock = KNOCK in observed.number
@@ -290,13 +290,15 @@ def simulation_grid(first: Simulation, round_trip: float, last: int, longest: fl
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def prior_parametrisation(start: InitialValues, measured: Sequence[float | None], u_ref: float) -> Parametrisation:
+def prior_parametrisation(
+    start: InitialValues, measured: Sequence[float | None], u_ref: float | None
+) -> Parametrisation:
     """Return priors and bounds of all parameters.
 
     Parameters
     ----------
     measured : measured velocity of every stroke, m/s, or None.
-    u_ref : reference compression of the searched force, m; 0 if the stiffness itself is searched.
+    u_ref : reference compression of the searched force, m; None if the stiffness itself is searched.
     """
     values, geometry, law = start.values, start.geometry, start.law
     names = names_of(law)
@@ -318,7 +320,7 @@ def prior_parametrisation(start: InitialValues, measured: Sequence[float | None]
     sd = np.array(sd + [start.relative_sd[name] for name in sizes])
     lower, upper = _bounds(start, names, len(measured), len(sizes))
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
-    if law.power is not None and u_ref:  # the force is searched
+    if law.power is not None and u_ref is not None:  # the force is searched
         stiffness, exponent = law.power
         mean[names.index(stiffness)] += values[exponent] * np.log(law.power_base(u_ref, values))
     # A fitted width is an effective one, with the given width only as the centre of its prior.

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 from ..errors import ParameterError, check_type
 from ..felt import ALL_PARAMETERS
 from ..x64 import AnyArray, float64, x64_scope
-from .density import DensityContext, density_context_at, negative_log_density, size_changes
+from .density import DensityContext, density_context_at, negative_log_density
 from .objective import Objective
-from .parametrisation import STRING_SIZE, Parametrisation, names_of
+from .parametrisation import STRING_SIZE
 from .pipeline import fit_string, initial_point
 from .problem import FitProblem
 
@@ -74,7 +74,7 @@ class RecordingObjective:
     def __call__(self, log_values: Float[AnyArray, " parameters"]) -> Array:
         """F at the logarithms of values [parameters]; see the class."""
         at = jax.tree.map(jnp.asarray, self._context)
-        theta = _theta(at, jnp.asarray(log_values), self._free, self._problem.parametrisation)
+        theta = self._theta(jnp.asarray(log_values))
         return negative_log_density(at, theta, at.phi, at.w, self._problem.cfg)
 
     def value_and_gradient(self, log_values: np.ndarray) -> tuple[float, np.ndarray]:
@@ -120,9 +120,7 @@ class RecordingObjective:
         """
         self._check(log_values)
         with x64_scope():
-            at = jax.tree.map(jnp.asarray, self._context)
-            u = self._problem.parametrisation
-            theta = np.asarray(_theta(at, jnp.asarray(log_values, float), self._free, u))
+            theta = np.asarray(self._theta(jnp.asarray(log_values, float)))
         return objective_at(self._problem, theta)
 
     def _check(self, log_values: np.ndarray) -> None:
@@ -131,9 +129,10 @@ class RecordingObjective:
                 f"log_values= has the shape {np.shape(log_values)} and must have one logarithm for each of {self.names}"
             )
 
-    @property
-    def _free(self) -> np.ndarray:
-        return np.flatnonzero(self._problem.parametrisation.free)
+    def _theta(self, log_values: Array) -> Array:
+        """θ [size] from the logarithms of the free values."""
+        u = self._problem.parametrisation
+        return u.from_log_values(jnp.asarray(u.log_values(u.mean)).at[np.flatnonzero(u.free)].set(log_values))
 
     @cached_property
     def _compiled(self) -> Any:
@@ -171,19 +170,6 @@ def objective_at(problem: FitProblem, theta: np.ndarray) -> RecordingObjective:
     units = tuple(SIZE_UNITS.get(n) or boxes[n.partition(" ")[0]].unit for n in names)
     logs = u.log_values(theta)
     return RecordingObjective(names, units, logs[free], u.lower[free], u.upper[free], problem, context)
-
-
-def _theta(at: DensityContext, log_values: Array, free: np.ndarray, u: Parametrisation) -> Array:
-    """θ [size] from the logarithms of the free values: `Parametrisation.from_log_values` for JAX."""
-    logs = jnp.asarray(u.log_values(u.mean)).at[free].set(log_values)
-    theta = logs
-    if at.scaling is not None:
-        theta = theta - size_changes(at, logs) @ at.scaling[1]
-    if at.power is None:
-        return theta
-    i, p = (int(x) for x in np.asarray(u.force_and_exponent_index))
-    values = {name: jnp.exp(log) for name, log in zip(names_of(u.law), logs, strict=False)}
-    return theta.at[i].add(jnp.exp(logs[p]) * jnp.log(u.law.power_base(u.reference_compression, values)))
 
 
 def _checked(values: Mapping[str, float], names: tuple[str, ...], default: np.ndarray) -> np.ndarray:

@@ -149,7 +149,7 @@ def _diagnostics(fit: InferenceResult, correlated: Sequence[StrongCorrelation]) 
         modes=problem.cfg.n_modes,
         steps=int(problem.model_inputs.steps),
         excess_sd=ExcessSd(frequency_cents=cents, decay_relative=decay, level_db=sigma),
-        path=PathPrior(smooth, octaves) if problem.path else None,
+        path=PathPrior(smooth, octaves) if problem.has_unknown_path else None,
         interference_ratio=floor,
         velocity_discrepancy_db=walk if len({*problem.structure.stroke}) > 1 else None,
         profile=convert(other["profile"], dict[str, ProfileCurve], *where) if "profile" in other else None,

@@ -27,7 +27,7 @@ def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     problem, minima, latent = fit.problem, fit.estimate.minima, fit.latent(which)
     u, z, group = problem.parametrisation, minima.candidates.theta[which], problem.structure.group
     paths = [
-        _path(problem, minima, which, index, latent) if problem.path else None
+        _path(problem, minima, which, index, latent) if problem.has_unknown_path else None
         for index in range(problem.structure.groups)
     ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)

@@ -25,7 +25,7 @@ def released_statement(fit: InferenceResult, states: Mapping[str, Status], level
             "The width is not identifiable, because a smooth output path changes the levels as the width does. Do not "
             "interpret it."
         )
-    if problem.path and not TRANSDUCERS[problem.initial_values.quantity].on_string:
+    if problem.has_unknown_path and not TRANSDUCERS[problem.initial_values.quantity].on_string:
         parts.append("A notch in the output path (body, room, microphone) looks like a node at the plucking position.")
     parts += _exchange(fit)
     parts.append(

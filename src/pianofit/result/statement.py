@@ -37,12 +37,13 @@ def identifiability_statement(
     text = (
         f"{_uncalibrated(fit)} The rms error of the partial levels is {levels.initial_db:.1f} dB before the fit, "
         f"{levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
-        f"and {'output path' if problem.path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB.{keyboard}"
+        f"and {'output path' if problem.has_unknown_path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
+        f"{keyboard}"
     )
     if not compared:
         u = problem.parametrisation
         felt = any(u.free[u.index_of(name)] for name in law.parameters)
-        prior = "the prior of the output path" if problem.path else "the prior"
+        prior = "the prior of the output path" if problem.has_unknown_path else "the prior"
         return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
     if exceeds_pianist(fit):
         low, ratio, high = velocity_range(fit)
@@ -64,7 +65,7 @@ def identifiability_statement(
 def _uncalibrated(fit: InferenceResult) -> str:
     """Sentences on uncalibrated recordings, by their number and velocities."""
     count = len(fit.problem.recordings)
-    if count == 1 and fit.problem.path:
+    if count == 1 and fit.problem.has_unknown_path:
         return (
             "One uncalibrated recording does not determine the hammer felt. A different felt gives the same sound "
             "through a different output path (soundboard, room, microphone). A softer felt struck faster also gives "

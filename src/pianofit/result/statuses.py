@@ -119,7 +119,7 @@ def undetermined(fit: InferenceResult) -> frozenset[str]:
     elif path_compared(fit):
         parts = everything if exceeds_pianist(fit) else frozenset()
     else:  # with an unknown gain alone, the force is known up to a factor
-        parts = everything if problem.path else frozenset({FELT, VELOCITIES})
+        parts = everything if problem.has_unknown_path else frozenset({FELT, VELOCITIES})
     force = force_direction(fit)
     is_wide = force is not None and fit.gauge_fixed.sd(force) > MAX_LOG_SD
     return parts | {FELT, CONTACT} if is_wide else parts
