@@ -44,6 +44,16 @@ class FieldPoints(NamedTuple):
     key: np.ndarray  # MIDI number [points]
     size: np.ndarray  # number of partials that a point is the mean of [points]
 
+    @classmethod
+    def of_key(cls, octave: np.ndarray, midi: float, size: Any = 1.0) -> FieldPoints:
+        """Return points of one key."""
+        return cls(octave, np.full(len(octave), float(midi)), np.full(len(octave), size))
+
+    def predict(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Predict a field from its values here with weights [..., points]; far from all points it is their mean."""
+        centre = np.average(values, axis=0, weights=self.size)
+        return centre + np.tensordot(weights, values - centre, 1)
+
 
 class FieldShape(NamedTuple):
     """Spreads and lengths of a field."""
