@@ -149,6 +149,13 @@ def instrument_name(file: Path) -> str:
     return _names_of(file)[0]
 
 
+def instrument_title(paths: Sequence[Path], files: Sequence[Path], prefix: str | None) -> str:
+    """Return the name of an instrument: the `prefix`, the name in the folders of its fits, or the first folder's."""
+    first = paths[0].resolve()
+    folder = first if first.is_dir() else first.parent
+    return printable(prefix or instrument_name(files[0]) or folder.name)
+
+
 def _names_of(file: Path) -> tuple[str, int | None]:
     """Return the instrument and the key in the folder's name, such as cp80-Fs2."""
     match = _KEY.fullmatch(file.resolve().parent.name)
