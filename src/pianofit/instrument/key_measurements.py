@@ -15,7 +15,8 @@ import numpy as np
 
 from ..errors import FitError
 from ..excitation import Excitation
-from ..felt import ALL_PARAMETERS, law_of
+from ..felt import ALL_PARAMETERS, SoftHammer, law_of
+from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
 from ..key_prior import INVARIANTS, KeyPrior
 from ..model.note import Note
@@ -105,15 +106,11 @@ def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:
     """The note of one minimum, with the velocities of the fit times `scale`."""
     velocity, at = float(np.max(minimum.stroke_values)), minimum.parameters
     hammer = soft_hammer(note.hammer)
-    skin = at["skin"] * scale if "skin" in at else hammer.skin
-    hammer = hammer._replace(
-        K_H=at["K_H"] * scale ** (1 - at["p"]),
-        mu=max(at["mu"] / scale, ALL_PARAMETERS["mu"].lower),
-        p=at["p"],
-        M_H=at["M_H"],
-        v_H0=velocity * scale,
-        skin=skin,
-    )
+    own = {name: at[name] for name in (*NEEDED_OF_HAMMER, "skin") if name in at}
+    scaled = scale_velocity({**hammer._asdict(), **own, "v_H0": velocity}, SOFT_SKIN, scale)
+    # A felt without a skin keeps the smallest one.
+    skin = scaled["skin"] if "skin" in at else hammer.skin
+    hammer = SoftHammer(**scaled | {"mu": max(scaled["mu"], ALL_PARAMETERS["mu"].lower), "skin": skin})
     return _on_string(note._replace(hammer=hammer), at)
 
 
