@@ -15,10 +15,11 @@ import pianofit
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import ALL_PARAMETERS, LAWS, check_hammer
+from pianofit.felt.law import scale_velocity
 from pianofit.literature import reference_compression
 from pianofit.model.note import Note
 from pianofit.result import Result
-from pianofit.result.derived import scale_length, scale_mass, scale_velocity
+from pianofit.result.derived import scale_length, scale_mass
 from pianofit.result.posterior import JointDraws, joint_draws
 from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import Covariance

@@ -170,8 +170,8 @@ def test_a_law_without_error_passes_through_its_keys():
     x = np.arange(21, 109, 4)
     y = 0.3 + 0.2 * np.sin(x / 25)
     found = posterior_of_one(x, y, 1e-4)
-    assert np.abs(found.law[0][x - 21] - y).max() < 0.01
-    assert np.abs(found.value[0] - y).max() < 1e-3
+    assert np.abs(found.mean[0, 0][x - 21] - y).max() < 0.01
+    assert np.abs(found.mean[1, 0, x - 21] - y).max() < 1e-3
 
 
 def test_intervals_cover():
@@ -184,9 +184,8 @@ def test_intervals_cover():
         f = 0.3 * a + 0.2 * b * (keys - 64) / 44 + 0.1 * c * np.sin(keys / 15 + 6 * d)
         true = f + 0.03 * random.normal(size=88)
         found = posterior_of_one(x, (true + 0.08 * random.normal(size=88))[x - 21], 0.08, prior=Prior(0.5, 0.4, 0.5))
-        value, sd = found.value_at(0, x, ALL)
-        inside = np.abs(value - true) < 1.96 * sd
-        held["law"].append(np.abs(found.law[0] - f) < 1.96 * found.law_sd[0])
+        inside = np.abs(found.mean[1, 0] - true) < 1.96 * found.sd[1, 0]
+        held["law"].append(np.abs(found.mean[0, 0] - f) < 1.96 * found.sd[0, 0])
         held["recorded"].append(inside[x - 21])
         held["unrecorded"].append(np.delete(inside, x - 21))
     for name, cases in held.items():
@@ -210,9 +209,8 @@ def test_intervals_of_few_keys_cover():
         law, true = drawn_law(random)
         x = np.sort(random.choice(ALL, 6, replace=False))
         found = posterior_of_one(x, true[x - 21], 1e-3)
-        value, sd = found.value_at(0, x.tolist(), ALL)
-        held["law"].append(np.abs(found.law[0] - law) < 1.96 * found.law_sd[0])
-        held["value"].append(np.delete(np.abs(value - true) < 1.96 * sd, x - 21))
+        held["law"].append(np.abs(found.mean[0, 0] - law) < 1.96 * found.sd[0, 0])
+        held["value"].append(np.delete(np.abs(found.mean[1, 0] - true) < 1.96 * found.sd[1, 0], x - 21))
     for name, cases in held.items():
         assert 0.90 < np.mean(cases) < 0.99, name
 
@@ -270,9 +268,9 @@ def test_the_scatter_between_keys_is_found():
     y = 0.2 + 0.004 * (x - 60) + 0.1 * random.normal(size=88)
     found = posterior_of_one(x, y, 0.03)
     assert 0.05 < found.shapes[0].scatter < 0.2
-    assert np.abs(found.law[0] - 0.2 - 0.004 * (x - 60)).max() < 0.1
+    assert np.abs(found.mean[0, 0] - 0.2 - 0.004 * (x - 60)).max() < 0.1
     # A key with a good fit keeps its own deviation.
-    assert np.sqrt(np.mean((found.value[0] - y) ** 2)) < 0.03
+    assert np.sqrt(np.mean((found.mean[1, 0] - y) ** 2)) < 0.03
 
 
 def test_a_key_moves_only_where_its_own_data_leave_it_open():
@@ -283,8 +281,8 @@ def test_a_key_moves_only_where_its_own_data_leave_it_open():
     means[3], covariances[3] = [1.0, -0.8], 1e-6 * total + 4.0 * difference  # the sum is 0.2
     keys = measured(x, means, covariances)
     found = keyboard_posterior(keys, np.zeros((2, 88)), [Prior(0.5, 0.3, 0.3)] * 2, ALL)
-    assert found.value[:, 3].sum() == pytest.approx(0.2, abs=3e-3)
-    assert found.value[0, 3] == pytest.approx(0.2, abs=0.12)
+    assert found.mean[1, :, 48 - 21].sum() == pytest.approx(0.2, abs=3e-3)
+    assert found.mean[1, 0, 48 - 21] == pytest.approx(0.2, abs=0.12)
 
 
 def test_the_other_keys_decide_between_the_minima_of_a_key():
@@ -294,7 +292,7 @@ def test_the_other_keys_decide_between_the_minima_of_a_key():
     keys[3] = KeyMeasurements(48, both, np.zeros(1))
     found = keyboard_posterior(keys, np.zeros((1, 88)), [Prior(0.5, 0.3, 0.3)], ALL)
     assert found.shares[3][1] > 0.99
-    assert found.value[0, 3] == pytest.approx(0.06, abs=0.02)
+    assert found.mean[1, 0, 48 - 21] == pytest.approx(0.06, abs=0.02)
     # On its own, a key keeps the weights of its fit.
     alone = keyboard_posterior([keys[3]], np.full((1, 88), 0.48), [Prior(0.5, 0.3, 0.3)], ALL)
     assert alone.shares[0] == pytest.approx([0.8, 0.2], abs=0.05)

@@ -97,4 +97,4 @@ def test_a_law_that_no_key_determines_is_not_certain():
     handed = remove_prior(FitPrior(np.eye(1) / 1.5, np.zeros(1)), np.eye(1) * 1.49**2)
     keys = [KeyMeasurements(int(k), (Measurement(1.0, handed.shift, handed.covariance),), np.zeros(1)) for k in x]
     found = keyboard_posterior(keys, np.zeros((1, 88)), [prior], ALL)
-    assert found.law_sd[0][60 - 21] > 0.9 * np.hypot(prior.offset, 0.3)
+    assert found.sd[0, 0, 60 - 21] > 0.9 * np.hypot(prior.offset, 0.3)

@@ -30,9 +30,9 @@ from pianofit.instrument.keyboard_posterior import (
     KeyMeasurements,
     Measurement,
     _fit_model,
-    _prediction_covariance,
+    _joint_covariance,
+    joint_laws,
     keyboard_posterior,
-    predict_key,
 )
 from pianofit.instrument.predicted_key import NAMES, _at_scale
 from pianofit.instrument.quantity_law import STUDENT, Prior
@@ -109,16 +109,17 @@ def test_a_prediction_has_the_covariance_of_a_dense_gaussian():
     dense = matrix[np.ix_(new, new)] - matrix[np.ix_(new, old)] @ np.linalg.solve(
         matrix[np.ix_(old, old)], matrix[np.ix_(old, new)]
     )
-    assert _prediction_covariance(fitted, float(midi)) == pytest.approx(dense, rel=1e-5, abs=1e-7)
+    found = _joint_covariance(fitted, range(size), np.array([midi]))[1, :, 0, 1, :, 0]
+    assert found == pytest.approx(dense, rel=1e-5, abs=1e-7)
 
 
 def test_a_prediction_is_the_posterior_of_the_other_keys():
     keys, midi = some_keys(), 55
     found = keyboard_posterior(keys, np.zeros((3, 88)), PRIORS, range(21, 109))
-    mean, covariance = predict_key(keys, np.zeros((3, len(keys) + 1)), PRIORS, midi)
-    place = midi - 21
-    assert mean == pytest.approx(found.law[:, place])
-    assert np.sqrt(np.diag(covariance)) == pytest.approx(np.hypot(found.law_sd[:, place], found.scatter_sd))
+    at = sorted([*(key.midi for key in keys), midi])
+    mean, covariance = joint_laws(keys, np.zeros((3, len(at))), PRIORS, at, range(3)).value_of(at.index(midi))
+    assert mean == pytest.approx(found.mean[0, :, midi - 21])
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(found.sd[1, :, midi - 21])
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 

@@ -14,20 +14,22 @@ import numpy as np
 
 from .errors import ParameterError, check_range, check_type
 
-# Quantities that a prior can have; F/M_S is in N/kg, d2 is b2 π²/L², 1/s.
-PRIOR_QUANTITIES = (
-    "f0",
-    "B",
-    "b1",
-    "d2",
-    "M_H/M_S",
-    "F/M_S",
-    "local_exponent",
-    "mu",
-    "skin",
-    "x0/L",
-    "width/L",
-)
+# Quantities that a prior can have, as exponents of the parameters of a fit; F/M_S is in N/kg, d2 is b2 π²/L², 1/s. The
+# two of the felt also depend on its other parameters.
+INVARIANTS: dict[str, dict[str, float]] = {
+    "f0": {"c": 1.0},
+    "B": {"kappa": 2.0, "c": -2.0},
+    "b1": {"b1": 1.0},
+    "d2": {"b2": 1.0},
+    "M_H/M_S": {"M_H": 1.0},
+    "F/M_S": {"K_H": 1.0},
+    "local_exponent": {"p": 1.0},
+    "mu": {"mu": 1.0},
+    "skin": {"skin": 1.0},
+    "x0/L": {"x0": 1.0},
+    "width/L": {"width": 1.0},
+}
+PRIOR_QUANTITIES = tuple(INVARIANTS)
 # Range of the compression, m, and of the velocity, m/s.
 COMPRESSIONS = (1e-7, 1e-1)
 VELOCITIES = (1e-2, 20.0)

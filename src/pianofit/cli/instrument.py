@@ -54,15 +54,14 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
-    from ..instrument import build_instrument, find_fits, instrument_name, load_extras, load_keys, write_instrument
+    from ..instrument import build_instrument, find_fits, load_extras, load_keys, write_instrument
+    from ..instrument.collect_fits import instrument_name, instrument_title
     from ..instrument.page import write_page
     from ..schema.instrument import INSTRUMENT_FILE
 
-    files, first = find_fits(fits, prefix), fits[0].resolve()
-    folder_name = printable(first.name if first.is_dir() else first.parent.name)
-    own_name = instrument_name(files[0])
-    extras = load_extras(fits, own_name)
-    built = build_instrument(load_keys(files), name or prefix or own_name or folder_name, even, extras)
+    files = find_fits(fits, prefix)
+    extras = load_extras(fits, instrument_name(files[0]))
+    built = build_instrument(load_keys(files), name or instrument_title(fits, files, prefix), even, extras)
     with output_folder(out, force) as folder:
         record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..excitation import Excitation
-from ..key_prior import KeyPrior
+from ..key_prior import INVARIANTS, KeyPrior
 from .parametrisation import Parametrisation, names_of
 
 # Half the step of log u in the local exponent, d log g/d log u: its error is below 1e-8.
@@ -135,24 +135,16 @@ def _with_velocity(u: Parametrisation, record: KeyPrior, reference: int | None) 
 def _rows(u: Parametrisation) -> dict[str, tuple[np.ndarray, float]]:
     """Every invariant as exponents of the entries of θ, and a constant. Those of the hammer have one entry each."""
     length, mass = np.log(u.geometry.length), np.log(u.geometry.mass)
-    table: dict[str, tuple[dict[str, float], float]] = {
-        "f0": ({"c": 1.0}, -np.log(2.0) - length),
-        "B": ({"kappa": 2.0, "c": -2.0}, 2 * (np.log(np.pi) - length)),
-        "b1": ({"b1": 1.0}, 0.0),
-        "d2": ({"b2": 1.0}, 2 * (np.log(np.pi) - length)),
-        "M_H/M_S": ({"M_H": 1.0}, -mass),
-        "mu": ({"mu": 1.0}, 0.0),
-        "skin": ({"skin": 1.0}, 0.0),
-        "x0/L": ({"x0": 1.0}, -length),
-        "width/L": ({"width": 1.0}, -length),
-    }
-    if u.law.power is not None:
-        stiffness, exponent = u.law.power
-        table |= {FORCE: ({stiffness: 1.0}, -mass), EXPONENT: ({exponent: 1.0}, 0.0)}
+    stiff = 2 * (np.log(np.pi) - length)
+    constant = {"f0": -np.log(2.0) - length, "B": stiff, "d2": stiff, "x0/L": -length, "width/L": -length}
+    constant |= {"M_H/M_S": -mass, FORCE: -mass}
+    felt = [{name: 1.0} for name in u.law.power] if u.law.power else [{}, {}]
+    table = INVARIANTS | dict(zip((FORCE, EXPONENT), felt, strict=True))
+    of_strokes = [0.0] * (u.size - u.shared)
     return {
-        name: (np.array([powers.get(own, 0.0) for own in u.names] + [0.0] * (u.size - u.shared)), constant)
-        for name, (powers, constant) in table.items()
-        if {*powers} <= {*u.names}
+        name: (np.array([powers.get(own, 0.0) for own in u.names] + of_strokes), constant.get(name, 0.0))
+        for name, powers in table.items()
+        if powers and {*powers} <= {*u.names}
     }
 
 

@@ -173,12 +173,12 @@ def _keyboard_law(
     q: int, name: str, posterior: KeyboardPosterior, reference: np.ndarray, law: Excitation
 ) -> KeyboardLaw:
     quantity, shape = LAW_QUANTITIES[name], posterior.shapes[q]
-    low, high = _interval(name, posterior.law[q], posterior.law_sd[q])
+    low, high = _interval(name, posterior.mean[0, q], posterior.sd[0, q])
     return KeyboardLaw(
         unit=quantity.unit,
         scale=quantity.scale,
         literature=quantity.unscaled(reference[q]) if name in published_values(LOWEST_KEY, law) else None,
-        value=quantity.unscaled(posterior.law[q]),
+        value=quantity.unscaled(posterior.mean[0, q]),
         low=low,
         high=high,
         scatter=shape.scatter,
@@ -199,14 +199,13 @@ def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> 
     found = {}
     for q, name in enumerate(law_quantities(keys[0].law)):
         unscaled = LAW_QUANTITIES[name].unscaled
-        value, sd = (float(x[midi - LOWEST_KEY]) for x in posterior.value_at(q, numbers, KEYS.tolist()))
+        (law, value), (_, sd) = (x[:, q, midi - LOWEST_KEY].tolist() for x in (posterior.mean, posterior.sd))
         own = None
         if j is not None:
             fitted = keys[j].fitted
             mean, own_sd = float(fitted.mean[q]), math.sqrt(fitted.covariance[q, q])
             own = OwnFit(float(unscaled(mean)), _interval(name, mean, own_sd), float(posterior.z[q, j]))
-        law = float(unscaled(posterior.law[q, midi - LOWEST_KEY]))
-        found[name] = KeyValue(float(unscaled(value)), _interval(name, value, sd), law, own)
+        found[name] = KeyValue(float(unscaled(value)), _interval(name, value, sd), float(unscaled(law)), own)
     return found
 
 

@@ -22,6 +22,7 @@ from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import SoftHammer, law_of
+from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
 from ..io.files import printable
 from ..model.modal_response import ModalResponse, decays_and_beats
@@ -147,6 +148,13 @@ def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
 def instrument_name(file: Path) -> str:
     """Return the instrument in the name of a fit's folder, such as cp80 in cp80-Fs2; empty if there is none."""
     return _names_of(file)[0]
+
+
+def instrument_title(paths: Sequence[Path], files: Sequence[Path], prefix: str | None) -> str:
+    """Return the name of an instrument: the `prefix`, the name in the folders of its fits, or the first folder's."""
+    first = paths[0].resolve()
+    folder = first if first.is_dir() else first.parent
+    return printable(prefix or instrument_name(files[0]) or folder.name)
 
 
 def _names_of(file: Path) -> tuple[str, int | None]:
@@ -297,9 +305,7 @@ def _scaled(note: Note, summary: FitSummary, scale: float) -> tuple[Note, FitSum
 def _scaled_hammer(note: Note, scale: float) -> Any:
     if not law_of(note.hammer).key_quantities:
         return note.with_size(note.size * scale).hammer
-    h = soft_hammer(note.hammer)
-    changed = {"K_H": h.K_H * scale ** (1 - h.p), "mu": h.mu / scale, "v_H0": h.v_H0 * scale, "skin": h.skin * scale}
-    return h._replace(**within_ranges(changed))
+    return SoftHammer(**within_ranges(scale_velocity(soft_hammer(note.hammer)._asdict(), SOFT_SKIN, scale)))
 
 
 def _midi(note: Note, file: Path) -> int:

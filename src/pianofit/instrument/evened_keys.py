@@ -83,9 +83,9 @@ def predict_key(fields: KeyFields, midi: int) -> tuple[Cells, np.ndarray, np.nda
     A key that has no near neighbours would predict its own decay.
     """
     is_own = fields.cells.points.key == midi
-    own, others = _select(fields.cells, is_own), fields._replace(cells=_select(fields.cells, ~is_own))
-    curve = others.predict(Field(others.cells.points, fields.curve.shape).weights(own.points), others.cells.curve)
-    level = fields.predict(fields.level.weights(own.points), fields.cells.level)
+    own, others = _select(fields.cells, is_own), _select(fields.cells, ~is_own)
+    curve = others.points.predict(Field(others.points, fields.curve.shape).weights(own.points), others.curve)
+    level = fields.cells.points.predict(fields.level.weights(own.points), fields.cells.level)
     return own, curve, level
 
 

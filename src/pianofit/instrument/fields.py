@@ -44,6 +44,16 @@ class FieldPoints(NamedTuple):
     key: np.ndarray  # MIDI number [points]
     size: np.ndarray  # number of partials that a point is the mean of [points]
 
+    @classmethod
+    def of_key(cls, octave: np.ndarray, midi: float, size: Any = 1.0) -> FieldPoints:
+        """Return points of one key."""
+        return cls(octave, np.full(len(octave), float(midi)), np.full(len(octave), size))
+
+    def predict(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Predict a field from its values here with weights [..., points]; far from all points it is their mean."""
+        centre = np.average(values, axis=0, weights=self.size)
+        return centre + np.tensordot(weights, values - centre, 1)
+
 
 class FieldShape(NamedTuple):
     """Spreads and lengths of a field."""
@@ -60,10 +70,15 @@ class FieldShape(NamedTuple):
     def covariance(self, a: FieldPoints, b: FieldPoints) -> np.ndarray:
         """Covariance of the smooth part between points."""
         octaves, keys = a.octave[:, None] - b.octave, a.key[:, None] - b.key
-        common = self.common_sd**2 * np.exp(-0.5 * (octaves / self.common_octaves) ** 2)
-        trend = self.trend_sd**2 * np.exp(-0.5 * (keys / self.trend_keys) ** 2)
-        near = np.exp(-0.5 * (octaves / self.drift_octaves) ** 2 - 0.5 * (keys / self.drift_keys) ** 2)
-        return common + trend + self.drift_sd**2 * near
+        common, trend, drift = self.parts(octaves**2, keys**2)
+        return common + trend + drift
+
+    def parts(self, octaves: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Covariances of `common`, `trend` and `drift` at these squares of distances in octaves and keys."""
+        common = self.common_sd**2 * np.exp(-0.5 * octaves / self.common_octaves**2)
+        trend = self.trend_sd**2 * np.exp(-0.5 * keys / self.trend_keys**2)
+        drift = self.drift_sd**2 * np.exp(-0.5 * octaves / self.drift_octaves**2 - 0.5 * keys / self.drift_keys**2)
+        return common, trend, drift
 
 
 @dataclass(frozen=True)
@@ -99,9 +114,7 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
 
     def cost(log_shape: np.ndarray) -> tuple[float, np.ndarray]:
         shape = FieldShape(*np.exp(log_shape))
-        common = shape.common_sd**2 * np.exp(-0.5 * octaves / shape.common_octaves**2)
-        trend = shape.trend_sd**2 * np.exp(-0.5 * keys / shape.trend_keys**2)
-        drift = shape.drift_sd**2 * np.exp(-0.5 * octaves / shape.drift_octaves**2 - 0.5 * keys / shape.drift_keys**2)
+        common, trend, drift = shape.parts(octaves, keys)
         total = common + trend + drift
         total[np.diag_indices(len(total))] += shape.residual**2 / points.size + JITTER
         factor = np.linalg.cholesky(total)

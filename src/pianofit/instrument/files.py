@@ -30,7 +30,7 @@ from ..schema.instrument import (
 )
 from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
-from .collect_fits import find_fits, instrument_name, load_extras, load_keys
+from .collect_fits import find_fits, instrument_name, instrument_title, load_extras, load_keys
 from .guessed_keys import missing_laws, with_guessed_responses
 from .instrument import Instrument, Key
 from .noise_floor import NoiseFloor, noise_entry
@@ -69,8 +69,8 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     file = path / INSTRUMENT_FILE if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         files = find_fits([path], prefix)
-        name = prefix or instrument_name(files[0]) or path.resolve().name
-        return build_instrument(load_keys(files), printable(name), even, load_extras([path], instrument_name(files[0])))
+        extras = load_extras([path], instrument_name(files[0]))
+        return build_instrument(load_keys(files), instrument_title([path], files, prefix), even, extras)
     if prefix is not None:
         raise ParameterError(f"prefix={short_repr(prefix)}: {printable(path)} is a finished instrument; leave it out")
     if even:

@@ -111,27 +111,23 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     """
     string = _audible_partials(note, midi, law, fields)
     rate = law.decay(np.arange(1, len(string.frequency) + 1))
-    at, cells = _points(np.log2(string.frequency), midi), fields.cells
+    at, cells = FieldPoints.of_key(np.log2(string.frequency), midi), fields.cells
     weights = fields.level.weights(at)
-    curves = fields.predict(fields.curve.weights(at), cells.curve)
+    curves = cells.points.predict(fields.curve.weights(at), cells.curve)
     share = np.stack([_exponentials(curve) for curve in curves])
     energy = np.einsum("ki,kij,kj->k", share, level_energy(rate[:, None, None] * (RATIOS[:, None] + RATIOS)), share)
     size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)
-    size *= 10 ** (fields.predict(weights, cells.level) / 20)
+    size *= 10 ** (cells.points.predict(weights, cells.level) / 20)
     channels = size[:, None] * _draw_channels(weights, fields, np.random.default_rng([SEED, midi]))
     i, j = np.nonzero(share)
     pole = -RATIOS[j] * rate[i] + 2j * np.pi * string.frequency[i]
     pattern = (channels[i] * share[i, j, None]).T
-    gain = VelocityGain(VELOCITIES, 10 ** (fields.predict(weights, cells.change)[i].T / 20) + 0j)
+    gain = VelocityGain(VELOCITIES, 10 ** (cells.points.predict(weights, cells.change)[i].T / 20) + 0j)
     empty = np.zeros((len(pattern), 0))
     response = ModalResponse(i + 1, pole, np.zeros(len(pole)), pattern, empty, fields.rate, gain)
     # A knock cancels the static deflection of the modes, as it does for recorded keys.
     knock = static_part(response)
     return response._replace(knock=knock if fields.knocks is None else knock + guess_knock(fields.knocks, midi))
-
-
-def _points(octave: np.ndarray, midi: int) -> FieldPoints:
-    return FieldPoints(octave, np.full(len(octave), float(midi)), np.ones(len(octave)))
 
 
 def _audible_partials(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> Partials:
@@ -146,11 +142,11 @@ def _draw_channels(weights: np.ndarray, fields: KeyFields, random: np.random.Gen
     """Draw the phasors of the channels, with a mean over the channels of magnitude 1 [at, channels]."""
     cells = fields.cells
     shape = (len(weights), cells.side.shape[1])
-    phase = fields.predict(weights, cells.phasor)
+    phase = cells.points.predict(weights, cells.phasor)
     free = np.sqrt(np.maximum(1 - np.abs(phase) ** 2, 0.0))
     phase = np.exp(1j * np.angle(phase + free * _complex_normal(random, shape[:1])))
-    side = fields.predict(weights, cells.side) - 1
-    missing = np.maximum(fields.predict(weights, cells.side_power) - (np.abs(side) ** 2).mean(axis=1), 0.0)
+    side = cells.points.predict(weights, cells.side) - 1
+    missing = np.maximum(cells.points.predict(weights, cells.side_power) - (np.abs(side) ** 2).mean(axis=1), 0.0)
     side = side + np.sqrt(missing)[:, None] * _complex_normal(random, shape)
     return phase[:, None] * (1 + side - side.mean(axis=1, keepdims=True))
 

@@ -44,10 +44,11 @@ class KnockFields(NamedTuple):
     shape: FieldShape  # of the energy over frequency and key
     rate: int  # Hz
 
-    def weights(self, midi: int) -> np.ndarray:
-        """Weights of the recorded keys, after their mean was subtracted, in the energies of a key [keys]."""
+    def energy_of(self, midi: int) -> np.ndarray:
+        """Predict the energy of a key, dB [channels, bands, frames]."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
-        return Field(points, self.shape).weights(FieldPoints(np.zeros(1), np.array([float(midi)]), np.ones(1)))[0]
+        weights = Field(points, self.shape).weights(FieldPoints.of_key(np.zeros(1), midi))[0]
+        return points.predict(weights, self.energy)
 
 
 def static_part(response: ModalResponse) -> np.ndarray:
@@ -122,9 +123,8 @@ def _correlation(waves: np.ndarray) -> float:
 
 def guess_knock(knocks: KnockFields, midi: int) -> np.ndarray:
     """Return the knock of a key without its static part [channels, samples]."""
-    mean = knocks.energy.mean(axis=0)
-    wanted = mean + np.tensordot(knocks.weights(midi), knocks.energy - mean, 1)
-    noise = _noise(knocks, len(mean))
+    wanted = knocks.energy_of(midi)
+    noise = _noise(knocks, len(wanted))
     transform = _transform(knocks.rate)
     band = _bands(transform)
     shaped = transform.stft(noise) * 10 ** (wanted[:, band] / 20) / math.sqrt(np.sum(transform.win**2))

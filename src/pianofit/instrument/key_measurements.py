@@ -15,9 +15,10 @@ import numpy as np
 
 from ..errors import FitError
 from ..excitation import Excitation
-from ..felt import ALL_PARAMETERS, law_of
+from ..felt import ALL_PARAMETERS, SoftHammer, law_of
+from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
-from ..key_prior import KeyPrior
+from ..key_prior import INVARIANTS, KeyPrior
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..schema.fit import Fit, Minimum
@@ -47,20 +48,6 @@ CENTS = 1200 / math.log(2)
 GIVEN = 1e-12
 # Relative difference of a compression that is rounding.
 ROUNDED = 1e-6
-# The parameter of a fit that each quantity of a prior belongs to.
-PRIOR_PARAMETER = {
-    "f0": "c",
-    "B": "kappa",
-    "b1": "b1",
-    "d2": "b2",
-    "M_H/M_S": "M_H",
-    "F/M_S": "K_H",
-    "local_exponent": "p",
-    "mu": "mu",
-    "skin": "skin",
-    "x0/L": "x0",
-    "width/L": "width",
-}
 
 
 def needed(law: Excitation) -> frozenset[str]:
@@ -119,15 +106,11 @@ def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:
     """The note of one minimum, with the velocities of the fit times `scale`."""
     velocity, at = float(np.max(minimum.stroke_values)), minimum.parameters
     hammer = soft_hammer(note.hammer)
-    skin = at["skin"] * scale if "skin" in at else hammer.skin
-    hammer = hammer._replace(
-        K_H=at["K_H"] * scale ** (1 - at["p"]),
-        mu=max(at["mu"] / scale, ALL_PARAMETERS["mu"].lower),
-        p=at["p"],
-        M_H=at["M_H"],
-        v_H0=velocity * scale,
-        skin=skin,
-    )
+    own = {name: at[name] for name in (*NEEDED_OF_HAMMER, "skin") if name in at}
+    scaled = scale_velocity({**hammer._asdict(), **own, "v_H0": velocity}, SOFT_SKIN, scale)
+    # A felt without a skin keeps the smallest one.
+    skin = scaled["skin"] if "skin" in at else hammer.skin
+    hammer = SoftHammer(**scaled | {"mu": max(scaled["mu"], ALL_PARAMETERS["mu"].lower), "skin": skin})
     return _on_string(note._replace(hammer=hammer), at)
 
 
@@ -171,7 +154,7 @@ def _joint_prior(fit: Fit, prior: KeyPrior, own: Note, midi: int, minimum: Minim
         )
     values = {**key_quantities(own, midi), "f0": float(own.f0)}
     rows = _exponents(names, own, midi, 1.0)
-    kept = [i for i, name in enumerate(prior.names) if _is_fitted(fit, minimum, PRIOR_PARAMETER[name])]
+    kept = [i for i, name in enumerate(prior.names) if _is_fitted(fit, minimum, next(iter(INVARIANTS[name])))]
     laws = [list(LAW_QUANTITIES).index("cents" if prior.names[i] == "f0" else prior.names[i]) for i in kept]
     unit = np.array([1 / CENTS if prior.names[i] == "f0" else 1.0 for i in kept])
     away = np.array([math.log(values[prior.names[i]]) - prior.mean[i] for i in kept])
@@ -196,34 +179,23 @@ def _conditional(fit: Fit, minimum: Minimum, covariance: Covariance) -> np.ndarr
 
 def _exponents(names: tuple[str, ...], note: Note, midi: int, scale: float) -> np.ndarray:
     """Derivatives of the quantities by the logarithms of a fit's values [quantities, names]."""
-    rows: dict[str, dict[str, float]] = {
-        "cents": {"c": CENTS},
-        "B": {"kappa": 2.0, "c": -2.0},
-        "b1": {"b1": 1.0},
-        "d2": {"b2": 1.0},
-        "x0/L": {"x0": 1.0},
-        "width/L": {"width": 1.0},
-        "pickup/L": {"pickup": 1.0},
-    }
+    rows = INVARIANTS | {"cents": {"c": CENTS}, "pickup/L": {"pickup": 1.0}}
     quantities = law_quantities(law_of(note.hammer))
     if law_of(note.hammer).key_quantities:
-        rows |= _hammer_exponents(note, midi, scale)
+        rows |= _felt_exponents(note, midi, scale)
     return np.array([[rows.get(quantity, {}).get(name, 0.0) for name in names] for quantity in quantities])
 
 
-def _hammer_exponents(note: Note, midi: int, scale: float) -> dict[str, dict[str, float]]:
-    """Those of the quantities of a hammer, by quantity and name."""
+def _felt_exponents(note: Note, midi: int, scale: float) -> dict[str, dict[str, float]]:
+    """Those of the quantities of a felt at a compression, by quantity and name."""
     hammer, u = soft_hammer(note.hammer), law_compression(midi)
     p, skin = float(hammer.p), float(hammer.skin)
     share = skin_share(u, skin)
     log_base = math.log(SOFT_SKIN.power_base(u, {"skin": skin}))
     return {
-        "M_H/M_S": {"M_H": 1.0},
         # F = K s^(1-p) g^p, with the base g = u²/(u + skin)
         "F/M_S": {"K_H": 1.0, "p": p * (log_base - math.log(scale)), "skin": -p * share},
         "local_exponent": {"p": 1.0, "skin": share * (1 - share) / (1 + share)},
-        "mu": {"mu": 1.0},
-        "skin": {"skin": 1.0},
     }
 
 

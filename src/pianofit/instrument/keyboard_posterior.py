@@ -71,22 +71,12 @@ class KeyMeasurements:
 class KeyboardPosterior:
     """Means and standard deviations on the scales of the laws; `at` are the requested keys."""
 
-    law: np.ndarray  # literature + f [quantities, at]
-    law_sd: np.ndarray  # [quantities, at]
-    value: np.ndarray  # literature + f + δ of the fitted keys [quantities, keys]
-    value_sd: np.ndarray  # [quantities, keys]
+    mean: np.ndarray  # of f, then of f + δ, with the literature [2, quantities, at]
+    sd: np.ndarray  # [2, quantities, at]
     z: np.ndarray  # deviation of a fit from the prediction of all other keys, standard deviations [quantities, keys]
     shapes: tuple[LawShape, ...]  # the most probable ones [quantities]
-    scatter_sd: np.ndarray  # standard deviations of δ of an unrecorded key [quantities]
     log_scale: np.ndarray  # s, logarithm of the velocity scale [keys]
     shares: tuple[np.ndarray, ...]  # of the minima of each key, given all keys
-
-    def value_at(self, q: int, keys: Sequence[int], at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Value and standard deviation of quantity `q` at every key of `at`; an unrecorded key adds the scatter."""
-        value, sd = self.law[q].copy(), np.hypot(self.law_sd[q], self.scatter_sd[q])
-        index = np.searchsorted(at, keys)
-        value[index], sd[index] = self.value[q], self.value_sd[q]
-        return value, sd
 
 
 class JointLaws(NamedTuple):
@@ -94,6 +84,11 @@ class JointLaws(NamedTuple):
 
     mean: np.ndarray  # of f, then of f + δ, with the literature [2, quantities, at]
     covariance: np.ndarray  # in the order of the mean [n, n]
+
+    def value_of(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mean [quantities] and covariance [quantities, quantities] of the values of one key, an index of `at`."""
+        joint = self.covariance.reshape(*self.mean.shape, *self.mean.shape)
+        return self.mean[1, :, i], joint[1, :, i, 1, :, i]
 
     def draw(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Draw laws and values [count, 2, quantities, at]."""
@@ -150,25 +145,17 @@ def keyboard_posterior(
     priors : of each quantity.
     at : MIDI numbers of the keys at which the laws are evaluated, ascending; they contain the fitted ones.
     """
-    places = np.searchsorted(at, [key.midi for key in keys])
-    reference = literature[:, places]
+    reference = literature[:, np.searchsorted(at, [key.midi for key in keys])]
     fitted = _fit_model(keys, reference, priors)
-    data, model, system, everywhere = fitted.data, fitted.model, fitted.system, np.asarray(at, float)
-    laws = [
-        integrate(_observed(system, data, model, q), prior, model.shapes[q], everywhere)
-        for q, prior in enumerate(priors)
-    ]
-    z = np.stack([_deviation(system, data, model, i) for i in range(len(keys))], axis=1)
+    data, model, system = fitted.data, fitted.model, fitted.system
+    mean, sd = _marginals(fitted, literature, range(len(priors)), at)
     solved = system.solved.reshape(reference.shape)
     scale = [-(VELOCITY_SCALE_SD**2) * key.scale_direction @ solved[:, i] for i, key in enumerate(keys)]
     return KeyboardPosterior(
-        law=literature + [law.law for law in laws],
-        law_sd=np.array([law.law_sd for law in laws]),
-        value=reference + [law.value for law in laws],
-        value_sd=np.array([law.value_sd for law in laws]),
-        z=z,
+        mean=mean,
+        sd=sd,
+        z=np.stack([_deviation(system, data, model, i) for i in range(len(keys))], axis=1),
         shapes=tuple(model.shapes),
-        scatter_sd=np.array([law.scatter_sd for law in laws]),
         log_scale=np.array(scale),
         shares=tuple(fitted.shares),
     )
@@ -189,44 +176,6 @@ def _fit_model(keys: Sequence[KeyMeasurements], reference: np.ndarray, priors: S
     return _Fitted(data, model, _solve(data, model), shares)
 
 
-def predict_key(
-    keys: Sequence[KeyMeasurements], literature: np.ndarray, priors: Sequence[Prior], midi: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the quantities of one key from the fits of others, with the scatter of single keys.
-
-    The correlations are those at the most probable shapes. Means and standard deviations are means over all shapes.
-
-    Parameters
-    ----------
-    keys : measurements of the other keys, in ascending order.
-    literature : reference values on the scales of the laws of those keys, then of the predicted one [quantities, keys
-        + 1].
-    priors : of each quantity.
-    midi : number of the predicted key.
-
-    Returns
-    -------
-    Mean [quantities] and covariance [quantities, quantities] on the scales of the laws.
-    """
-    fitted = _fit_model(keys, literature[:, :-1], priors)
-    covariance = _prediction_covariance(fitted, float(midi))
-    at = sorted([*(key.midi for key in keys), midi])
-    everywhere, place = np.array(at, float), at.index(midi)
-    laws = [
-        integrate(_observed(fitted.system, fitted.data, fitted.model, q), prior, shape, everywhere)
-        for q, (prior, shape) in enumerate(zip(priors, fitted.model.shapes, strict=True))
-    ]
-    mean = literature[:, -1] + [law.law[place] for law in laws]
-    sd = np.hypot([law.law_sd[place] for law in laws], [law.scatter_sd for law in laws])
-    factor = sd / np.sqrt(np.diag(covariance))
-    return mean, covariance * np.outer(factor, factor)
-
-
-def _prediction_covariance(fitted: _Fitted, midi: float) -> np.ndarray:
-    """Covariance of the quantities of a key without a fit, at the most probable shapes [quantities, quantities]."""
-    return _joint_covariance(fitted, range(len(fitted.model.priors)), np.array([midi]))[1, :, 0, 1, :, 0]
-
-
 def joint_laws(
     keys: Sequence[KeyMeasurements],
     literature: np.ndarray,
@@ -243,17 +192,25 @@ def joint_laws(
     ----------
     chosen : indices of the returned quantities, ascending.
     """
-    places, everywhere = np.searchsorted(at, [key.midi for key in keys]), np.asarray(at, float)
-    fitted = _fit_model(keys, literature[:, places], priors)
+    fitted = _fit_model(keys, literature[:, np.searchsorted(at, [key.midi for key in keys])], priors)
+    mean, sd = _marginals(fitted, literature, chosen, at)
+    covariance = _joint_covariance(fitted, chosen, np.asarray(at, float)).reshape(mean.size, mean.size)
+    factor = sd.ravel() / np.sqrt(np.diag(covariance))
+    return JointLaws(mean, covariance * np.outer(factor, factor))
+
+
+def _marginals(
+    fitted: _Fitted, literature: np.ndarray, chosen: Sequence[int], at: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means and standard deviations of f and f + δ over all shapes [2, chosen, at], with the literature."""
+    data, model, system = fitted.data, fitted.model, fitted.system
+    places = np.searchsorted(at, data.x)
     mean, sd = np.empty((2, len(chosen), len(at))), np.empty((2, len(chosen), len(at)))
     for row, q in enumerate(chosen):
-        observed = _observed(fitted.system, fitted.data, fitted.model, q)
-        law = integrate(observed, priors[q], fitted.model.shapes[q], everywhere)
+        law = integrate(_observed(system, data, model, q), model.priors[q], model.shapes[q], np.asarray(at, float))
         mean[:, row], sd[0, row], sd[1, row] = law.law, law.law_sd, np.hypot(law.law_sd, law.scatter_sd)
         mean[1, row, places], sd[1, row, places] = law.value, law.value_sd
-    covariance = _joint_covariance(fitted, chosen, everywhere).reshape(mean.size, mean.size)
-    factor = sd.ravel() / np.sqrt(np.diag(covariance))
-    return JointLaws(mean + literature[[*chosen]], covariance * np.outer(factor, factor))
+    return mean + literature[[*chosen]], sd
 
 
 def _joint_covariance(fitted: _Fitted, chosen: Sequence[int], at: np.ndarray) -> np.ndarray:

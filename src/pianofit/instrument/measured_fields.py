@@ -145,11 +145,6 @@ class KeyFields(NamedTuple):
     curve: Field  # of their decay curves
     knocks: KnockFields | None
 
-    def predict(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Predict a field from its values with these weights [at, ...]; far from all points it is their mean."""
-        centre = np.average(values, axis=0, weights=self.cells.points.size)
-        return centre + weights @ (values - centre)
-
 
 class Partials(NamedTuple):
     """The partials of a string [partials]."""
@@ -188,9 +183,8 @@ class PathField(NamedTuple):
 
     def at(self, midi: int) -> OutputPath:
         """Return the smooth output path of a key, for a gain of 1."""
-        at = FieldPoints(np.log2(THIRDS), np.full(len(THIRDS), float(midi)), np.ones(len(THIRDS)))
-        centre = np.average(self.level, weights=self.field.points.size)
-        return OutputPath(THIRDS, centre + self.field.weights(at) @ (self.level - centre))
+        weights = self.field.weights(FieldPoints.of_key(np.log2(THIRDS), midi))
+        return OutputPath(THIRDS, self.field.points.predict(weights, self.level))
 
 
 def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
@@ -207,7 +201,7 @@ def measure_path(keys: Sequence[RecordedKey]) -> PathField | None:
         frequency = path.frequency[partials]
         own = 20 * np.log10(abs(key.note.gain)) + key.drive_differences(frequency).mean(axis=0)
         octave, (mean, size) = np.log2(frequency), _cells(np.log2(frequency))
-        rows.append((mean(octave), np.full(len(size), float(key.midi)), size, mean(path.db[partials] + own)))
+        rows.append((*FieldPoints.of_key(mean(octave), key.midi, size), mean(path.db[partials] + own)))
     if not rows:
         return None
     *columns, level = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -289,7 +283,7 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     curve = 10 * np.log10(np.maximum(mean(geometric * shape), NOTHING))
     phasor = np.sign(string.impulse * note.gain) * np.exp(1j * np.angle(mono[strongest]))
     return Cells(
-        points=FieldPoints(mean(octave), np.full(len(size), float(key.midi)), size),
+        points=FieldPoints.of_key(mean(octave), key.midi, size),
         level=level,
         change=by_velocity - level[:, None],
         curve=curve - curve[:, :1],

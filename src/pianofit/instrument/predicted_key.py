@@ -24,7 +24,7 @@ from .build import reference_values
 from .collect_fits import KeyFit
 from .key_measurements import CENTS
 from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression, skin_share
-from .keyboard_posterior import VELOCITY_SCALE_SD, predict_key
+from .keyboard_posterior import VELOCITY_SCALE_SD, joint_laws
 
 NAMES = tuple(LAW_QUANTITIES)
 # Imaginary step of a derivative that is exact to rounding.
@@ -61,9 +61,10 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
         raise ParameterError(f"keys= has no fit of another key than {midi_to_note(midi)}; give at least one")
     if (law := others[0].law).key_quantities != FeltLaw.key_quantities:
         raise ParameterError(f"keys= are {law.words.verb}; a prior from other keys needs struck strings")
-    literature = reference_values(others, [*(key.midi for key in others), midi])
+    at = sorted([*(key.midi for key in others), midi])
     priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
-    mean, covariance = predict_key([key.measured for key in others], literature, priors, midi)
+    measured, reference = [key.measured for key in others], reference_values(others, at)
+    mean, covariance = joint_laws(measured, reference, priors, at, range(len(priors))).value_of(at.index(midi))
     velocities = [key.velocity for key in others if key.velocity is not None]
     # A given velocity sets the scale of all.
     velocity = math.exp(np.log(velocities).mean()) if len(velocities) == len(others) else LOUDEST_VELOCITY

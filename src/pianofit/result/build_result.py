@@ -10,6 +10,7 @@ import numpy as np
 
 from ..analysis import cents_above
 from ..conversions import midi_of
+from ..felt.law import scale_velocity
 from ..inference import KNOCK, LOG_ABSENT_LOSS, InferenceResult, IntervalResult
 from ..literature import reference_compression
 from ..model.note import Note
@@ -30,7 +31,6 @@ from ..schema.quantities import Quantity
 from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors, worse_bands
 from .correlations import StrongCorrelation, covariance_of, strong_correlations
-from .derived import scale_velocity
 from .derived_table import derived_quantities, with_force_interval
 from .draws import Draws
 from .estimates import invariants, parameters, stroke_velocities

@@ -24,6 +24,7 @@ from ..conversions import HALF_WIDTH_95, T60_NEPERS
 from ..errors import FitError, ParameterError
 from ..excitation import Excitation
 from ..felt import LAWS, law_of
+from ..felt.law import scale_velocity
 from ..inference.batched_model import run_in_batches
 from ..io.number_format import format_with_interval, is_number
 from ..model import Simulation
@@ -274,18 +275,6 @@ def _note(note: Note, values: Mapping[str, float]) -> Note:
 
 
 # --- scalings that change no sound ------------------------------------------------------------------------------------
-
-
-def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:
-    """Return values with all velocities times `s`; only a felt law with a power has this scaling."""
-    scaled = {name: value * s for name, value in values.items() if name.startswith("v_H0")}
-    if law.power is None:
-        return {**values}
-    stiffness, exponent = law.power
-    scaled[stiffness] = values[stiffness] * s ** (1 - values[exponent])
-    powers = {"s/m": -1, "m": 1}
-    scaled |= {n: values[n] * s ** powers[own.unit] for n, own in law.parameters.items() if own.unit in powers}
-    return {**values, **scaled}
 
 
 def scale_mass(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:

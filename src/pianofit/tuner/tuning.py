@@ -18,8 +18,9 @@ import numpy as np
 from ..analysis.note_names import midi_to_note
 from ..conversions import A4, CENTS, HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, hertz_of
 from ..errors import FitError, ParameterError, check_range
-from ..instrument import find_fits, instrument_name, load_instrument, load_keys
+from ..instrument import find_fits, load_instrument, load_keys
 from ..instrument.build import ENOUGH_KEYS, published_values, reference_values
+from ..instrument.collect_fits import instrument_title
 from ..instrument.key_quantities import LAW_QUANTITIES, law_quantities
 from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurement, joint_laws
 from ..io.files import printable
@@ -255,10 +256,10 @@ def _is_instrument(path: Path) -> bool:
 
 
 def _from_fits(paths: Sequence[Path], prefix: str | None) -> Recorded:
-    files, first = find_fits(paths, prefix), paths[0].resolve()
+    files = find_fits(paths, prefix)
     keys = load_keys(files)
     return Recorded(
-        prefix or instrument_name(files[0]) or printable(first.name if first.is_dir() else first.parent.name),
+        instrument_title(paths, files, prefix),
         tuple(law_quantities(keys[0].law)),
         tuple(key.measured for key in keys),
         reference_values(keys, KEYS.tolist()),
