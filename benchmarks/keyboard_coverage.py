@@ -119,12 +119,11 @@ def errors_of_one(
     places = np.sort(random.choice(len(KEYS), random.integers(FEWEST, MOST + 1), replace=False))
     fits = [draw_fit(random, int(KEYS[i]), truth.value[:, i], templates, keep_prior) for i in places]
     found = keyboard_posterior(fits, np.zeros(truth.law.shape), priors, KEYS.tolist())
-    values = [found.value_at(q, KEYS[places].tolist(), KEYS.tolist()) for q in range(len(priors))]
-    z = np.array([(value - true) / sd for (value, sd), true in zip(values, truth.value, strict=True)])
+    law, value = (found.mean - [truth.law, truth.value]) / found.sd
     return {
-        "law": (found.law - truth.law) / found.law_sd,
-        "recorded": z[:, places],
-        "unrecorded": np.delete(z, places, axis=1),
+        "law": law,
+        "recorded": value[:, places],
+        "unrecorded": np.delete(value, places, axis=1),
     }
 
 

@@ -86,7 +86,7 @@ class JointLaws(NamedTuple):
     covariance: np.ndarray  # in the order of the mean [n, n]
 
     def value_of(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """Mean [quantities] and covariance [quantities, quantities] of the values of one key, an index of `at`."""
+        """Mean [quantities] and covariance [quantities, quantities] of the values of one key, an index of the keys."""
         joint = self.covariance.reshape(*self.mean.shape, *self.mean.shape)
         return self.mean[1, :, i], joint[1, :, i, 1, :, i]
 
@@ -182,8 +182,9 @@ def joint_laws(
     priors: Sequence[Prior],
     at: Sequence[int],
     chosen: Sequence[int],
+    shown: Sequence[int] | None = None,
 ) -> JointLaws:
-    """Combine the fits of some keys, and return some quantities of all keys with their joint covariance.
+    """Combine the fits of some keys, and return some quantities with their joint covariance.
 
     The correlations are those at the most probable shapes. Means and standard deviations are means over all shapes,
     as those of `keyboard_posterior`, whose arguments these are.
@@ -191,10 +192,12 @@ def joint_laws(
     Parameters
     ----------
     chosen : indices of the returned quantities, ascending.
+    shown : indices in `at` of the returned keys; all if None.
     """
     fitted = _fit_model(keys, literature[:, np.searchsorted(at, [key.midi for key in keys])], priors)
-    mean, sd = _marginals(fitted, literature, chosen, at)
-    covariance = _joint_covariance(fitted, chosen, np.asarray(at, float)).reshape(mean.size, mean.size)
+    returned = [*range(len(at))] if shown is None else [*shown]
+    mean, sd = (x[..., returned] for x in _marginals(fitted, literature, chosen, at))
+    covariance = _joint_covariance(fitted, chosen, np.asarray(at, float)[returned]).reshape(mean.size, mean.size)
     factor = sd.ravel() / np.sqrt(np.diag(covariance))
     return JointLaws(mean, covariance * np.outer(factor, factor))
 

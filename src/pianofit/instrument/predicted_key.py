@@ -64,7 +64,8 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
     at = sorted([*(key.midi for key in others), midi])
     priors = [quantity.prior for quantity in LAW_QUANTITIES.values()]
     measured, reference = [key.measured for key in others], reference_values(others, at)
-    mean, covariance = joint_laws(measured, reference, priors, at, range(len(priors))).value_of(at.index(midi))
+    laws = joint_laws(measured, reference, priors, at, range(len(priors)), [at.index(midi)])
+    mean, covariance = laws.value_of(0)
     velocities = [key.velocity for key in others if key.velocity is not None]
     # A given velocity sets the scale of all.
     velocity = math.exp(np.log(velocities).mean()) if len(velocities) == len(others) else LOUDEST_VELOCITY
