@@ -393,6 +393,9 @@ def test_a_curve_goes_through_layers_at_the_midi_velocities_of_their_library():
     # The order of the layers alone does not tell that most of them are loud.
     assert ordered.source == "layers"
     assert ordered.at(64) > 1.2 * true.at(64)
+    # Numbers of layers are not MIDI velocities.
+    numbers = layers_of([layer.velocity for layer in layers], [1, 2, 3, 4, 5])
+    assert fit_velocity_curve([numbers] * 30) == ordered
     # Two microphones record a stroke once.
     assert fit_velocity_curve([layers * 2] * 30).layers == known.layers
 
