@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from pianofit.cli import app
 from pianofit.errors import ParameterError
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
-from pianofit.instrument.evened_keys import brightness, decay_factor, predict_key, with_decay, with_knock
+from pianofit.instrument.evened_keys import brightness_slope, decay_factor, predict_key, with_decay, with_knock
 from pianofit.instrument.guessed_keys import recorded_keys
 from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.key_quantities import stroke_level
@@ -82,7 +82,7 @@ def test_decay_and_brightness_are_predicted_at_1(pianos):
         found = measure_fields([replace(key, note=pianos[1.0].keys[key.midi].note)]).cells
         ratio = np.log(early_ratio(curve) / early_ratio(found.curve))
         assert np.average(ratio, weights=own.points.size) == pytest.approx(0.0, abs=0.02)
-        assert brightness(found, level)[0] == pytest.approx(0.0, abs=0.05)
+        assert brightness_slope(found, level)[0] == pytest.approx(0.0, abs=0.05)
 
 
 @pytest.mark.parametrize("even", [0.5, 1.0])

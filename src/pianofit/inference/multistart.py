@@ -60,7 +60,7 @@ GOING = 2
 # Minima closer than this in every parameter, in the prior's standard deviations, are the same.
 SAME = 0.02
 # θ [points, size] from the best candidate and the surrogate there.
-Points = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
+RestartPoints = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 
 
@@ -156,7 +156,7 @@ def _continued(objective: Objective, candidates: Candidates, options: Options) -
 
 def _kinds_of_restart(
     objective: Objective, random: np.random.Generator, fine: np.ndarray
-) -> list[tuple[Points, int | None]]:
+) -> list[tuple[RestartPoints, int | None]]:
     """Points about the best candidate, and the node of the gains of the surrogate on which they start; None for all."""
     u = objective.problem.parametrisation
     # Values and sizes that were given with a standard deviation have no other minima.
@@ -196,7 +196,7 @@ def _positions(u: Parametrisation) -> list[tuple[str, int]]:
     return shared + [(u.law.stroke.name, at) for at in range(u.size)[u.velocities] if u.law.stroke.name == "x0"]
 
 
-def _restarted(objective: Objective, candidates: Candidates, points: Points, gains: int | None) -> Candidates:
+def _restarted(objective: Objective, candidates: Candidates, points: RestartPoints, gains: int | None) -> Candidates:
     """Add the minima reached from `points` of the lowest, first on the surrogate at its φ and w."""
     best = candidates.take(np.array([0]))
     at = best.level.phi[0], best.level.w[0], best.level.residual[0], best.theta[0]

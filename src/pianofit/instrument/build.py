@@ -28,7 +28,7 @@ from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
 from .dampers import damper_law
 from .evened_keys import even_out
-from .guessed_keys import guess_response, recorded_keys, string_law
+from .guessed_keys import guess_response, keyboard_string_law, recorded_keys
 from .instrument import Instrument, Key
 from .key_quantities import (
     LAW_QUANTITIES,
@@ -142,7 +142,7 @@ def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
 
 
 def _is_known(layers: Sequence[tuple[float | None, float]]) -> bool:
-    """Whether the MIDI velocities of all layers of a key are known."""
+    """True if the MIDI velocities of all layers of a key are known."""
     return all(midi is not None for midi, _ in layers)
 
 
@@ -239,7 +239,7 @@ def _guess(
     note = note_from_quantities(values, midi, like.note.quantity, like.law)
     note = note._replace(path=None if path is None else path.at(midi))
     if fields is not None:
-        note = note._replace(modal_response=guess_response(note, midi, string_law(laws, midi), fields))
+        note = note._replace(modal_response=guess_response(note, midi, keyboard_string_law(laws, midi), fields))
     gain = 10 ** ((values["level"] - stroke_level(note)) / 20)
     return note._replace(gain=math.copysign(gain, like.note.gain))
 

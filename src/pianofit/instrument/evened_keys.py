@@ -70,7 +70,7 @@ def _even(key: RecordedKey, fields: KeyFields | None, amount: float) -> Note:
         return key.note
     own, curve, level = predict_key(fields, key.midi)
     factor = decay_factor(own.curve, curve, own.points.size)
-    slope, centre = brightness(own, level)
+    slope, centre = brightness_slope(own, level)
     faster = with_decay(key, response, factor**amount)
     octave = np.log2(np.imag(response.pole) / (2 * np.pi))
     changed = faster._replace(pattern=faster.pattern * 10 ** (-amount * slope * (octave - centre) / 20))
@@ -109,7 +109,7 @@ def decay_factor(own: np.ndarray, predicted: np.ndarray, size: np.ndarray) -> fl
     return float(np.exp(log_factor))
 
 
-def brightness(own: Cells, predicted: np.ndarray) -> tuple[float, float]:
+def brightness_slope(own: Cells, predicted: np.ndarray) -> tuple[float, float]:
     """Return the slope of the levels of a key over the predicted ones, dB per octave, and the mean octave."""
     octave, size = own.points.octave, own.points.size
     centre = float(np.average(octave, weights=size))

@@ -65,7 +65,7 @@ def missing_laws(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> li
     return sorted({*STRING_LAWS, *(name for names in hammers for name in names)} - {*laws})
 
 
-def string_law(laws: Mapping[str, KeyboardLaw], midi: int) -> StringLaw:
+def keyboard_string_law(laws: Mapping[str, KeyboardLaw], midi: int) -> StringLaw:
     """Return the values of the keyboard laws for the string of a key."""
     i, strike = midi - LOWEST_KEY, laws["x0/L"]
     sd = math.log(float(strike.high[i] / strike.low[i])) / (2 * HALF_WIDTH_95)
@@ -84,7 +84,7 @@ def _recorded(midi: int, key: Key, laws: Mapping[str, KeyboardLaw]) -> RecordedK
     struck = note_from_quantities(key_quantities(key.note, midi) | hammer, midi, key.note.quantity, law)
     velocities = key.fit.velocities if key.fit and key.fit.velocities else (float(key.note.size),)
     law_note = key.note._replace(hammer=struck.hammer)
-    return RecordedKey(midi, key.note, law_note, string_law(laws, midi), tuple(map(float, velocities)))
+    return RecordedKey(midi, key.note, law_note, keyboard_string_law(laws, midi), tuple(map(float, velocities)))
 
 
 def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardLaw]) -> dict[int, Key]:
@@ -95,7 +95,7 @@ def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardL
         return dict(keys)
 
     def with_response(midi: int, key: Key) -> Key:
-        response = guess_response(key.note, midi, string_law(laws, midi), fields)
+        response = guess_response(key.note, midi, keyboard_string_law(laws, midi), fields)
         return replace(key, note=key.note._replace(modal_response=response))
 
     return {midi: with_response(midi, key) if key.is_guessed else key for midi, key in keys.items()}

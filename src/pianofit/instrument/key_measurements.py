@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..conversions import CENTS
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS, SoftHammer, law_of
@@ -42,8 +43,6 @@ NEEDED_OF_HAMMER = frozenset(("K_H", "mu", "p", "M_H"))
 NONCONVERGED_FACTOR = 2.0
 # Change of log velocity over which the slope of the level is taken.
 LEVEL_STEP = 0.1
-# Cents per unit of the logarithm of a frequency.
-CENTS = 1200 / math.log(2)
 # A variance below this is that of a given value.
 GIVEN = 1e-12
 # Relative difference of a compression that is rounding.

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
+from ..conversions import DB
 from ..dsp.knock_band import BAND
 from ..dsp.level import level_energy
 from ..felt import law_of
@@ -324,5 +325,5 @@ def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: f
 
 def early_ratio(curve: np.ndarray) -> np.ndarray:
     """Early decay rate over that of the laws [points], from decay curves [points, times]."""
-    string = -20 / np.log(10) * TIMES[EARLY]
+    string = -DB * TIMES[EARLY]
     return np.maximum(curve[:, EARLY] @ string / np.sum(string**2), LEAST_RATIO)
