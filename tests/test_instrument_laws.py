@@ -13,7 +13,6 @@ from instrument_cases import ERRORS, covariance_of, fit_document, library, true_
 from pianofit.errors import FitError
 from pianofit.felt import law_of
 from pianofit.instrument import Instrument, build_instrument, find_fits, instrument_name, load_keys
-from pianofit.instrument.build import fit_velocity_curve
 from pianofit.instrument.key_measurements import measurements_of
 from pianofit.instrument.key_quantities import (
     LAW_QUANTITIES,
@@ -33,6 +32,7 @@ from pianofit.instrument.quantity_law import (
     log_posterior,
     most_probable,
 )
+from pianofit.instrument.velocity_curve import fit_velocity_curve, velocity_warnings
 from pianofit.schema.decode import convert
 from pianofit.schema.fit import Fit
 from pianofit.schema.instrument import Layer, VelocityCurve
@@ -396,6 +396,13 @@ def test_a_curve_goes_through_layers_at_the_midi_velocities_of_their_library():
     # Numbers of layers are not MIDI velocities.
     numbers = layers_of([layer.velocity for layer in layers], [1, 2, 3, 4, 5])
     assert fit_velocity_curve([numbers] * 30) == ordered
+    assert "1 to 5" in velocity_warnings([numbers])[0]
+    # A key with a layer of unknown MIDI velocity goes by the order of its layers, the others by their numbers.
+    partly = layers_of([layer.velocity for layer in layers], [*midi[:4], None])
+    assert [m for m, _ in fit_velocity_curve([layers, partly]).layers] == pytest.approx(
+        [*midi, *(m for m, _ in ordered.layers[:5])]
+    )
+    assert velocity_warnings([layers, partly]) == velocity_warnings([partly]) == []
     # Two microphones record a stroke once.
     assert fit_velocity_curve([layers * 2] * 30).layers == known.layers
 

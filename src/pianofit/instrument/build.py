@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ..excitation import Excitation
 from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.extras import KeyExtras
-from ..schema.instrument import V_H0, KeyboardLaw, KeyValue, Layer, OwnFit, VelocityCurve
+from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit
 from ..threads import one_blas_thread
 from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
@@ -41,6 +41,7 @@ from .keyboard_posterior import KeyboardPosterior, keyboard_posterior
 from .measured_fields import KeyFields, PathField, measure_fields, measure_path
 from .noise_floor import noise_floor
 from .release_noise import recorded_releases, release_noise
+from .velocity_curve import fit_velocity_curve, velocity_warnings
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
 # With fewer keys, the shapes of the laws come from the literature.
@@ -49,13 +50,6 @@ ENOUGH_KEYS = 5
 NAMED_SD = 4.0
 # Share of a minimum above which the keyboard has decided against the fit.
 DECIDED = 0.5
-# Prior of the velocity curve: standard deviations of the logarithm at MIDI velocity 64, and of its rise.
-VELOCITY_PRIOR_SD = (0.7, 0.5)
-# Standard deviation of the logarithm of a layer's velocity about the curve, and the smallest rise of the curve.
-LAYER_SD, LEAST_RISE = 0.4, 0.3
-# Largest rise of the logarithm from MIDI velocity 64 to 127. Pianists use a factor of 20 over the whole range, so half
-# of it does not have a factor of 55. Numbers of layers, such as 1 to 5, give more.
-MOST_RISE = 4.0
 
 
 @one_blas_thread()
@@ -112,66 +106,19 @@ def build_instrument(
         for midi in KEYS
         if midi not in recorded
     }
-    curve = fit_velocity_curve([key.summary.layers for key in keys])
+    layers = [key.summary.layers for key in keys]
     built = Instrument(
         name,
         dict(sorted((recorded | guessed).items())),
-        curve,
+        fit_velocity_curve(layers),
         laws,
-        (*_warnings(keys, posterior), *_velocity_warnings(keys, curve)),
+        (*_warnings(keys, posterior), *velocity_warnings(layers)),
         float(even),
         damper_law(extras),
         bridge=measure_bridge((key.midi, key.note) for key in keys),
     )
     release = release_noise(recorded_releases(extras), built.channels)
     return replace(built, release=release, noise=noise_floor(extras, built.channels))
-
-
-def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
-    """Fit one velocity curve to the layers of each key, soft to loud. Keys with one layer are not used.
-
-    A layer stands for its MIDI velocity in the library. If that of a layer is unknown, the n layers of its key stand
-    for the middles of n equal parts of the MIDI range. Numbers that would make the curve rise by more than `MOST_RISE`
-    are not MIDI velocities, and count as unknown. A weak prior about the default curve stabilises the fit with few
-    layers.
-    """
-    strokes = [list(dict.fromkeys((layer.midi_velocity, layer.velocity) for layer in layers)) for layers in keys]
-    strokes = [layers for layers in strokes if len(layers) > 1]
-    known = [layers for layers in strokes if _is_known(layers)]
-    return _curve_through(strokes, "midi-velocities" if known and _rise(known) <= MOST_RISE else "layers")
-
-
-def _is_known(layers: Sequence[tuple[float | None, float]]) -> bool:
-    """True if the MIDI velocities of all layers of a key are known."""
-    return all(midi is not None for midi, _ in layers)
-
-
-def _rise(strokes: Sequence[Sequence[tuple[float | None, float]]]) -> float:
-    """Rise of the logarithm from MIDI velocity 64 to 127 within the layers of each key, by least squares."""
-    rows = [np.array([((midi or 0.0) / 63, math.log(v)) for midi, v in layers]) for layers in strokes]
-    x, y = np.concatenate([row - row.mean(axis=0) for row in rows]).T
-    return float(x @ y / max(x @ x, np.finfo(float).tiny))
-
-
-def _curve_through(
-    strokes: Sequence[Sequence[tuple[float | None, float]]], source: Literal["midi-velocities", "layers"]
-) -> VelocityCurve:
-    """Fit a curve to the MIDI velocity and the hammer velocity, m/s, of the layers of some keys."""
-    if not strokes:
-        return VelocityCurve()
-    points = [
-        (midi if source != "layers" and midi and _is_known(layers) else 127 * (i + 0.5) / len(layers), math.log(v))
-        for layers in strokes
-        for i, (midi, v) in enumerate(layers)
-    ]
-    prior, precision = VelocityCurve(), np.diag(1 / np.square(VELOCITY_PRIOR_SD))
-    midi, log_v = np.array(points).T
-    rows = np.column_stack([np.ones(len(midi)), (midi - 64) / 63])
-    total = precision + rows.T @ rows / LAYER_SD**2
-    weighted = precision @ [math.log(prior.at_64), prior.rise] + rows.T @ log_v / LAYER_SD**2
-    middle, rise = np.linalg.solve(total, weighted)
-    at_64 = float(np.clip(math.exp(middle), V_H0.lower, V_H0.upper))
-    return VelocityCurve(at_64, max(float(rise), LEAST_RISE), source, tuple((m, math.exp(v)) for m, v in points))
 
 
 def reference_values(keys: Sequence[KeyFit], at: Sequence[int]) -> np.ndarray:
@@ -242,18 +189,6 @@ def _guess(
         note = note._replace(modal_response=guess_response(note, midi, keyboard_string_law(laws, midi), fields))
     gain = 10 ** ((values["level"] - stroke_level(note)) / 20)
     return note._replace(gain=math.copysign(gain, like.note.gain))
-
-
-def _velocity_warnings(keys: Sequence[KeyFit], curve: VelocityCurve) -> list[str]:
-    """Warn of numbers that are not MIDI velocities."""
-    layers = [layer for key in keys for layer in key.summary.layers]
-    given = sorted({layer.midi_velocity for layer in layers if layer.midi_velocity is not None})
-    if not given or curve.source != "layers":
-        return []
-    return [
-        f"The velocities {given[0]:g} to {given[-1]:g} of the layers are not MIDI velocities: hammer velocities do not "
-        "rise so fast. The order of the layers is used. List them as layers, or correct them."
-    ]
 
 
 def _warnings(keys: Sequence[KeyFit], posterior: KeyboardPosterior) -> list[str]:
