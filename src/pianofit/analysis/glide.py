@@ -22,7 +22,7 @@ _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s
 _REFERENCE = 1  # index of the window that defines f0
 # A glide is detected if the pitch changes by more than both.
 _SIGNIFICANT = 4.0  # standard errors
-LEAST_GLIDE = 0.1  # cents
+_LEAST_GLIDE = 0.01  # cents; sounds of constant pitch without noise move by less, due to leakage between bands
 
 Window = tuple[float, float, float, float]  # start s, stop s, cents, standard error in cents
 
@@ -77,7 +77,7 @@ def glide_windows(fitted: FittedBands) -> list[Window]:
 
 def glide_detected(windows: list[Window]) -> bool:
     """True if the pitch of any window differs significantly from that of the reference window."""
-    return any(abs(cents) > max(_SIGNIFICANT * error, LEAST_GLIDE) for _, _, cents, error in windows)
+    return any(abs(cents) > max(_SIGNIFICANT * error, _LEAST_GLIDE) for _, _, cents, error in windows)
 
 
 def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBands, PitchGlide, float]:

@@ -6,12 +6,13 @@ import numpy as np
 
 from ..conversions import BEATING_DB
 from .analysis_result import Partials
-from .glide import LEAST_GLIDE
 from .inharmonicity import B_RANGE, DecayLaw, FrequencyLaw
 from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 
 # 1/s; slower envelopes do not decay: their T60 is above two hours.
 LEAST_DECAY = 1e-3
+# Cents; a smaller glide is removed without a warning, which has one decimal.
+_LEAST_WARNED_GLIDE = 0.1
 
 
 def analysis_warnings(
@@ -44,7 +45,7 @@ def analysis_warnings(
         warnings.append(
             "most partials do not decay: a looped, reversed or compressed sound does not determine the losses"
         )
-    if abs(glide_cents) > LEAST_GLIDE:
+    if abs(glide_cents) > _LEAST_WARNED_GLIDE:
         warnings.append(
             f"the pitch {'falls' if glide_cents > 0 else 'rises'} by {abs(glide_cents):.1f} cents as the note decays"
         )
