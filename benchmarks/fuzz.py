@@ -1,6 +1,6 @@
 """Hostile files for every reader: valid ones, spoilt by a seeded hand, must be read or refused in one line.
 
-    python benchmarks/fuzz.py                          3,000 of each kind, about a quarter of an hour
+    python benchmarks/fuzz.py                          3,000 of each kind, about four minutes
     python benchmarks/fuzz.py --kinds midi,setup --count 500 --seed 7
     python benchmarks/fuzz.py --keep faults            what went wrong, as files to look at
 

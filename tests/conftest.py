@@ -17,7 +17,6 @@ CHECKED = [
     "pianofit.felt.steps",
     "pianofit.model",
     "pianofit.inference.batched_model",
-    "pianofit.inference.likelihood",
     "pianofit.inference.nuts",
     "pianofit.inference.recording_objective",
     "pianofit.inference.density",

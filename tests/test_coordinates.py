@@ -92,6 +92,32 @@ def test_the_tangent_is_that_of_the_values():
         np.testing.assert_allclose(u.tangent(theta), np.array(expected).T, atol=1e-7)
 
 
+def sized() -> Parametrisation:
+    """As `unknowns`, with uncertain length and mass; c, K_H and x0 were given."""
+    u = unknowns()
+    size = SHARED + STROKES + 2
+    exponents = np.random.default_rng(3).normal(size=(2, size))
+    exponents[:, [P, *range(SHARED, size)]] = 0.0  # p and velocities do not scale
+    given = np.isin(np.arange(size), [0, FORCE, X0])
+    columns = {name: np.append(getattr(u, name), [0.0, 0.0]) for name in ("mean", "sd", "lower", "upper")}
+    columns["sd"][-2:] = 0.01
+    return replace(u, **columns, sizes=("L", "M_S"), exponents=exponents, given=given)
+
+
+def test_a_value_is_that_of_the_model_scaled_with_the_sizes_whether_it_was_given_or_not():
+    u = sized()
+    theta = u.mean + 0.1 * np.random.default_rng(4).normal(size=(5, u.size))
+    scaling = u.size_changes(theta) @ u.exponents
+    ratio = u.log_values(theta) - u.model_entries(theta)
+    ratio[:, FORCE] += np.exp(theta[:, P]) * LOG_U
+    np.testing.assert_allclose(ratio, scaling, atol=1e-12)
+    np.testing.assert_allclose(u.from_log_values(u.log_values(theta)), theta, atol=1e-12)
+    steps = 1e-6 * np.eye(u.size)
+    expected = [(u.log_values(theta[0] + step) - u.log_values(theta[0] - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(u.tangent(theta[0]), np.array(expected).T, atol=1e-7)
+
+
+
 def test_values_are_those_of_a_string_and_a_hammer():
     u = unknowns()
     values = dict(zip(VALUES, np.exp(u.log_values(u.mean)), strict=False))

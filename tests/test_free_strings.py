@@ -10,6 +10,7 @@ from pianofit.literature import typical_strings
 from pianofit.model.modal_response import PRE_ONSET_S, ForcePulse, VelocityGain
 from pianofit.model.output_path import OutputPath
 from pianofit.playback import PlayOptions, Song, render_song
+from pianofit.playback.coupled_modes import MOST_BRIDGE_SHARE
 from pianofit.playback.free_strings import HIGHEST, FreeStrings, _knock_transform, _modelled, _transform
 from pianofit.playback.repeated_strike import string_tables
 from pianofit.playback.resonance import HOP_SECONDS, RATE_RATIO, hop_count, hop_samples
@@ -60,6 +61,22 @@ def test_the_velocity_gain_of_a_string_at_the_frequency_of_a_struck_mode_is_that
     assert other._velocity_gain(60, 3.0)[other.modes[60]] == pytest.approx(expected)
 
 
+def test_a_key_without_a_velocity_gain_excites_by_its_force_alone():
+    piano = FreeStrings(piano_of({57: true_note(57), 60: true_note(60)}), RATE)
+    pulse = ForcePulse(np.hanning(100), 1 / RATE, 2.0)
+    own = piano.modes[60]
+    expected = piano.coupled.far_response(own, piano.per_impulse[own]) * _transform(pulse, piano.pole)
+    expected[own] = 0.0
+    assert piano.excited_by(60, pulse) == pytest.approx(expected)
+
+
+def test_a_measured_state_is_an_impulse_away_from_the_nodes_of_the_stroke(strings):
+    away = np.abs(strings.per_impulse) >= 0.999 * np.abs(strings.per_state)
+    assert 0.5 < away.mean() < 1.0
+    assert strings.per_state[away] == pytest.approx(strings.per_impulse[away])
+    assert (np.abs(strings.per_state) >= np.abs(strings.per_impulse)).all()
+
+
 def test_amplitudes_of_a_modelled_string_are_normalised_to_energy_and_pass_its_path():
     path = OutputPath(np.array([20.0, 20_000.0]), np.array([-6.0, -6.0]))
     plain, filtered = (_modelled(true_note(60)._replace(path=p), 60, RATE) for p in (None, path))
@@ -85,3 +102,40 @@ def test_two_free_strings_are_enough_to_resonate():
     dry, whole = (render_song(piano, song, RATE, options=PlayOptions(resonance=x)).samples for x in (0.0, 1.0))
     size = min(dry.shape[-1], whole.shape[-1])
     assert np.abs(whole[:, :size] - dry[:, :size]).max() > 1e-4 * np.abs(dry).max()
+
+
+def test_partials_pull_the_bridge_with_alternating_signs_and_give_it_no_more_than_they_lose():
+    """Strings that ring a hundred times as long have less to give than the bridge of the literature would take."""
+    note = rung(60)
+    response = note.modal_response
+    long = note._replace(modal_response=response._replace(pole=response.pole - 0.99 * response.pole.real))
+    strings = FreeStrings(piano_of({57: rung(57), 60: long}), RATE)
+    own = strings.modes[60]
+    number, drive = response.partial[strings.chosen[60]], strings.drive[own]
+    assert np.all(np.sign(drive) == np.where(number % 2, 1, -1))
+    given = np.bincount(number, drive**2 / -strings.pole[own].real)[number]
+    assert given == pytest.approx(np.full(len(own), MOST_BRIDGE_SHARE))
+
+
+def test_only_modes_that_sound_and_that_the_sample_rate_holds_are_free_strings():
+    note = rung(72)  # its tenth partial lies above 5 kHz
+    response = note.modal_response
+    silent = response._replace(pattern=response.pattern * (response.partial != 3))
+    piano = piano_of({57: rung(57), 72: note._replace(modal_response=silent)})
+    slow, fast = (FreeStrings(piano, rate) for rate in (4_000, RATE))
+    assert 3 not in silent.partial[fast.chosen[72]]
+    assert slow.pole.imag.max() < 2 * np.pi * 2_000 < fast.pole.imag.max() < 2 * np.pi * HIGHEST < response.pole.imag.max()
+
+
+def test_what_other_strings_sound_does_not_depend_on_where_in_a_hop_a_key_is_struck():
+    piano = piano_of({48: rung(48), 60: rung(60), 67: rung(67)})
+    hop = hop_samples(RATE)[0]
+
+    def added(samples: int) -> np.ndarray:
+        start = 0.1 + samples / RATE
+        song = Song({60: [(start, 90), (1.0, 0)]}, [(0.0, 127)], 1.2, 1)
+        dry, whole = (render_song(piano, song, RATE, options=PlayOptions(resonance=x)).samples for x in (0.0, 1.0))
+        return whole[:, 4_800 + samples :][:, :24_000] - dry[:, 4_800 + samples :][:, :24_000]
+
+    first, later = added(0), added(2 * hop // 3)
+    assert np.linalg.norm(later - first) < 0.03 * np.linalg.norm(first)

@@ -76,6 +76,15 @@ def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("kind", [uneven_note, rung_note])
+def test_a_string_that_is_reset_sounds_as_a_new_one(kind):
+    string = StringVoice(kind(45), 45, RATE)
+    first = stroke_and_ring(string, 2.0, RATE // 4)
+    string.reset()
+    np.testing.assert_array_equal(string.ring(100), np.zeros((len(first), 100)))
+    np.testing.assert_array_equal(stroke_and_ring(string, 2.0, RATE // 4), first)
+
+
 @pytest.mark.parametrize(("midi", "after"), [(28, 0.013), (60, 0.1), (79, 0.05)])
 def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
     """`simulate` from the same displacement and velocity, whose contact and waveform are independent code."""

@@ -40,12 +40,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cholesky, solve_triangular
 from jax.scipy.special import log_ndtr as jax_log_ndtr
-from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
 from ..conversions import DB
-from ..x64 import AnyArray
 
 # Arrays of NumPy or of JAX, and one of the two as a module.
 Values = Any
@@ -329,14 +327,12 @@ def _log_sum(x: Values, xp: Space) -> Values:
 
 
 def objective(
-    table: ObservationTable,
-    residual: Float[AnyArray, "R K"],
-    phi: Float[AnyArray, " hyper"],
-    w: Float[AnyArray, "R K"],
-    theta: Float[AnyArray, " size"],
-    xp: Space = jnp,
+    table: ObservationTable, residual: Values, phi: Values, w: Values, theta: Values, xp: Space = jnp
 ) -> Values:
-    """F at a residual at θ: y - model where a partial is detected, bound - model where it is censored."""
+    """F at a residual [R, K], φ [5], w [R, K] and θ [size].
+
+    The residual is y - model where a partial is detected, and bound - model where it is censored.
+    """
     residual, phi, w, theta = (x[None] for x in (residual, phi, w, theta))
     return combine_nodes(table, solve_nodes(table, residual, phi, w, theta, xp).nll_per_node, phi, w, xp)[0]
 
