@@ -117,7 +117,6 @@ def test_a_value_is_that_of_the_model_scaled_with_the_sizes_whether_it_was_given
     np.testing.assert_allclose(u.tangent(theta[0]), np.array(expected).T, atol=1e-7)
 
 
-
 def test_values_are_those_of_a_string_and_a_hammer():
     u = unknowns()
     values = dict(zip(VALUES, np.exp(u.log_values(u.mean)), strict=False))
