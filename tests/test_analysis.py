@@ -364,7 +364,7 @@ def test_a_fall_of_pitch_is_one_only_if_it_is_sure():
 
 
 def test_a_glide_too_small_to_hear_biases_no_level():
-    """High partials of a soft stroke would be 0.03 dB too loud, and those of a hard one, without its glide, would not."""
+    """Otherwise, high partials of soft strokes are 0.03 dB too loud, while the glide of hard strokes is removed."""
     truth = string(185.0, 2.3e-4, 26, 0.4, 3e-3, seed=6)
     glides, stays = (analyse(truth.recording(noise=1e-7, bend=b), note="F#3").partials for b in (0.08, 0.0))
     np.testing.assert_allclose(glides.level, stays.level, atol=0.004)
