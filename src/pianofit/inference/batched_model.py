@@ -142,10 +142,9 @@ def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size:
     count = len(arrays[0])
     padded = [np.concatenate([x, np.repeat(x[-1:], -count % size, axis=0)]) for x in arrays]
 
-    def run(at: int) -> list[np.ndarray]:
-        return [np.asarray(x) for x in program(*sum(common, ()), *(x[at : at + size] for x in padded), inputs, cfg)]
-
-    parts = list(thread_pool().map(run, range(0, len(padded[0]), size)))
+    starts = range(0, len(padded[0]), size)
+    batches = [(*sum(common, ()), *(x[at : at + size] for x in padded)) for at in starts]
+    parts = list(thread_pool().map(lambda own: [np.asarray(x) for x in program(*own, inputs, cfg)], batches))
     return tuple(np.concatenate(column)[:count] for column in zip(*parts, strict=True))
 
 
