@@ -141,7 +141,6 @@ def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size:
     *common, arrays = (batch[:1], batch[1:]) if batch[0].ndim == 1 else (batch,)
     count = len(arrays[0])
     padded = [np.concatenate([x, np.repeat(x[-1:], -count % size, axis=0)]) for x in arrays]
-
     starts = range(0, len(padded[0]), size)
     batches = [(*sum(common, ()), *(x[at : at + size] for x in padded)) for at in starts]
     parts = list(thread_pool().map(lambda own: [np.asarray(x) for x in program(*own, inputs, cfg)], batches))
