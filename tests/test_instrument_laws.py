@@ -32,7 +32,7 @@ from pianofit.instrument.quantity_law import (
     log_posterior,
     most_probable,
 )
-from pianofit.instrument.velocity_curve import fit_velocity_curve, velocity_warnings
+from pianofit.instrument.velocity_curve import fit_velocity_curve, loudest_velocities, velocity_warnings
 from pianofit.schema.decode import convert
 from pianofit.schema.fit import Fit
 from pianofit.schema.instrument import Layer, VelocityCurve
@@ -405,6 +405,25 @@ def test_a_curve_goes_through_layers_at_the_midi_velocities_of_their_library():
     assert velocity_warnings([layers, partly]) == velocity_warnings([partly]) == []
     # Two microphones record a stroke once.
     assert fit_velocity_curve([layers * 2] * 30).layers == known.layers
+
+
+def test_a_key_without_loud_layers_is_set_to_what_its_midi_velocities_mean(tmp_path):
+    true = VelocityCurve(LOUDEST_VELOCITY / math.exp(1.2), 1.2)  # 4 m/s at 127
+    files = []
+    for midi, recorded in ((48, (20, 60, 127)), (55, (20, 60, 127)), (60, (20, 60))):
+        velocities = tuple(true.at(m) for m in recorded)
+        note = true_note(midi).with_size(velocities[-1])
+        # A fit through an unknown path knows the velocities up to a factor.
+        document = fit_document(note, ERRORS, tuple(1.7 * v for v in velocities))
+        for row, m in zip(document["recordings"], recorded, strict=True):
+            row["midi_velocity"] = m
+        files.append(write_fit(tmp_path, midi, document))
+    found = [key.summary.velocities[-1] for key in load_keys(files)]
+    assert found == pytest.approx([LOUDEST_VELOCITY, LOUDEST_VELOCITY, true.at(60)])
+    layers = [key.summary.layers for key in load_keys(files)]
+    assert loudest_velocities(layers[:1] + [layers_of([1.0])], 4.0) == [4.0, 4.0]
+    # Numbers of layers are not MIDI velocities.
+    assert loudest_velocities([layers_of((1.0, 3.0), (1, 2)), layers_of([1.0], [1])], 4.0) == [4.0, 4.0]
 
 
 def test_midi_velocities_rise_with_the_layers():

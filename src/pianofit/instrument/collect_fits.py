@@ -1,9 +1,9 @@
 """Fits of single keys from a folder, on one velocity scale.
 
 An uncalibrated fit determines its velocities up to a factor: (K_H, μ, d, v_H0, gain) → (K_H s^(1-p), μ/s, s d, s v_H0,
-gain/s)
-does not change the sound. The loudest recording of every such key is set to `LOUDEST_VELOCITY`, which puts all keys on
-one scale.
+gain/s) does not change the sound. The loudest recording of every such key is set to `LOUDEST_VELOCITY`, which puts all
+keys on one scale. Where the MIDI velocities of the recordings are known, this holds for the largest one. The loudest
+recordings of other keys are set to the velocities that their own MIDI velocities have.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from ..threads import one_blas_thread
 from .key_measurements import fitted_values, measurements_of, needed
 from .key_quantities import LOUDEST_VELOCITY, soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
+from .velocity_curve import loudest_velocities
 
 # Number of lowest partials whose beating and decays are listed.
 LOWEST_PARTIALS = 4
@@ -188,36 +189,47 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     >>> [key.midi for key in pianofit.load_keys(pianofit.find_fits([Path("batch")], "cp80"))]
     [60, 64]
     """
-    keys: dict[int, KeyFit] = {}
+    found: dict[int, _CheckedFit] = {}
     for file in files:
-        key = _load_key(file)
-        if (other := keys.get(key.midi)) is not None:
+        key = _checked_fit(file)
+        if (other := found.get(key.midi)) is not None:
             raise FitError(
-                f"{printable(file)}: is {midi_to_note(key.midi)}, and so is {other.summary.file}; leave one out, or "
-                "choose an instrument by --prefix"
+                f"{key.name}: is {midi_to_note(key.midi)}, and so is {other.name}; leave one out, or choose an "
+                "instrument by --prefix"
             )
-        keys[key.midi] = key
-    _check_one_excitation(keys.values())
-    kinds = sorted({key.note.quantity for key in keys.values()})
+        found[key.midi] = key
+    _check_one_excitation(found.values())
+    kinds = sorted({key.note.quantity for key in found.values()})
     if len(kinds) > 1:
         raise FitError(
             f"{printable(files[0])}: the keys were recorded as {' and '.join(kinds)}; an instrument needs one quantity"
         )
-    return [keys[midi] for midi in sorted(keys)]
+    keys = [found[midi] for midi in sorted(found)]
+    velocities = loudest_velocities([_layers(key.fit, key.sizes) for key in keys], LOUDEST_VELOCITY)
+    return [_key_fit(key, velocity) for key, velocity in zip(keys, velocities, strict=True)]
 
 
-def _check_one_excitation(keys: Iterable[KeyFit]) -> None:
+class _CheckedFit(NamedTuple):
+    """The content of a `fit.json` that an instrument can use."""
+
+    name: str  # of the file
+    fit: Fit
+    note: Note
+    midi: int
+    sizes: dict[int, float]  # of the strokes, by recording
+
+
+def _check_one_excitation(keys: Iterable[_CheckedFit]) -> None:
     """Raise a `FitError` that names two files with different excitations."""
-    found = {key.law.kind: key for key in keys}
+    found = {(law := law_of(key.note.hammer)).kind: (key.name, law.words.verb) for key in keys}
     if len(found) > 1:
-        a, b = list(found.values())[:2]
+        (a, how_a), (b, how_b), *_ = found.values()
         raise FitError(
-            f"{a.summary.file} is {a.law.words.verb} and {b.summary.file} is {b.law.words.verb}; an instrument needs "
-            "one excitation, so give the fits of one"
+            f"{a} is {how_a} and {b} is {how_b}; an instrument needs one excitation, so give the fits of one"
         )
 
 
-def _load_key(file: Path) -> KeyFit:
+def _checked_fit(file: Path) -> _CheckedFit:
     fit, name = read_fit(file), printable(file)
     note = note_of(fit, file.parent, name)
     midi = _midi(note, file)
@@ -225,7 +237,13 @@ def _load_key(file: Path) -> KeyFit:
     if law.key_quantities and not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
     _check_values(fit, name, law)
-    sizes = _sizes(fit, law)
+    return _CheckedFit(name, fit, note, midi, _sizes(fit, law))
+
+
+def _key_fit(key: _CheckedFit, velocity: float) -> KeyFit:
+    """The fit of a key whose loudest recording is set to `velocity`, m/s, if its own scale of velocities is open."""
+    name, fit, note, midi, sizes = key
+    law = law_of(note.hammer)
     loudest = max(sizes, key=lambda recording: sizes[recording])
     # The note has the output path of the reference recording, and a gain belongs to a path.
     same_path = [i for i in fit.path_groups[fit.reference.path_group] if i in sizes]
@@ -242,7 +260,7 @@ def _load_key(file: Path) -> KeyFit:
         partials=() if note.modal_response is None else partial_decays(note.modal_response),
     )
     own_velocity = sizes[loudest] if fit.velocity_scale_open else None
-    scale = LOUDEST_VELOCITY / sizes[loudest] if own_velocity or law.size_is_gain else 1.0
+    scale = velocity / sizes[loudest] if own_velocity or law.size_is_gain else 1.0
     note, summary = _scaled(note._replace(gain=gain, path=path), summary, scale)
     own = fit, note, midi, stroke_level(note)
     return KeyFit(midi, note, measurements_of(*own), fitted_values(*own), summary, own_velocity)

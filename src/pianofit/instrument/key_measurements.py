@@ -94,11 +94,11 @@ def _default_variances(note: Note) -> np.ndarray:
 
 
 def note_at(fit: Fit, note: Note, minimum: Minimum) -> Note:
-    """Return the note of a key with the parameters of one minimum, on the velocity scale of the instrument."""
+    """Return the `note` of a key, on the velocity scale of the instrument, with the parameters of one minimum."""
     if not law_of(note.hammer).key_quantities:
         return _on_string(note, minimum.values(fit))
     velocity = float(np.max(minimum.stroke_values))
-    return _scaled_note(note, minimum, LOUDEST_VELOCITY / velocity if fit.velocity_scale_open else 1.0)
+    return _scaled_note(note, minimum, float(note.size) / velocity if fit.velocity_scale_open else 1.0)
 
 
 def _scaled_note(note: Note, minimum: Minimum, scale: float) -> Note:

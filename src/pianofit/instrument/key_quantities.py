@@ -60,8 +60,8 @@ LAW_QUANTITIES = {
     "level": LawQuantity("level of a strong stroke", "dB", Prior(60.0, 6.0, 4.0, 1.5), 0.3, "linear"),
 }
 
-# Size of the strokes whose level has a law: a fortissimo of 4 m/s. An instrument sets the loudest recording of every
-# uncalibrated key to it, before the keyboard determines it. The loudest pluck of every key has a force of 4 N.
+# Size of the strokes whose level has a law: a fortissimo of 4 m/s. An instrument sets the loudest recordings of
+# uncalibrated keys to it, before the keyboard determines them. The loudest pluck of every key has a force of 4 N.
 # Recordings do not determine its force, and this one gives plucks and hammers one velocity curve. Players use a few
 # newtons.
 LOUDEST_VELOCITY = 4.0

@@ -3,9 +3,9 @@
 A second pass over a keyboard fits each key again with this prior in place of the literature's. The key's own first fit
 takes no part in it, so no recording counts twice.
 
-An instrument plays the loudest recording of every uncalibrated key at `LOUDEST_VELOCITY`. The scale of all velocities
-together is unknown. The first fits placed it where the literature has it, at the mean of their own velocities, and the
-prior is stated on that scale. Only the deviation of single keys from the common scale is left open.
+An instrument sets the loudest recordings of uncalibrated keys to velocities on one scale (`collect_fits`). The scale of
+all velocities together is unknown. The first fits placed it where the literature has it, in the mean of their own
+velocities, and the prior is stated on that scale. Only the deviation of single keys from the common scale is left open.
 """
 
 from __future__ import annotations
@@ -66,10 +66,12 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
     measured, reference = [key.measured for key in others], reference_values(others, at)
     laws = joint_laws(measured, reference, priors, at, range(len(priors)), [at.index(midi)])
     mean, covariance = laws.value_of(0)
-    velocities = [key.velocity for key in others if key.velocity is not None]
+    ratios = [key.velocity / float(key.note.size) for key in others if key.velocity is not None]
     # A given velocity sets the scale of all.
-    velocity = math.exp(np.log(velocities).mean()) if len(velocities) == len(others) else LOUDEST_VELOCITY
-    return _record(*_with_scale(mean, covariance, midi, velocity / LOUDEST_VELOCITY), midi, velocity)
+    scale = math.exp(np.log(ratios).mean()) if len(ratios) == len(others) else 1.0
+    loudest = [float(key.note.size) for key in keys if key.midi == midi and key.velocity is not None]
+    velocity = scale * (loudest[0] if loudest else LOUDEST_VELOCITY)
+    return _record(*_with_scale(mean, covariance, midi, scale), midi, velocity)
 
 
 def _with_scale(mean: np.ndarray, covariance: np.ndarray, midi: int, scale: float) -> tuple[np.ndarray, np.ndarray]:

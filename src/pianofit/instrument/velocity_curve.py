@@ -34,6 +34,21 @@ def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
     return _curve_through(strokes, "midi-velocities" if known and _rise(known) <= MOST_RISE else "layers")
 
 
+def loudest_velocities(keys: Sequence[Sequence[Layer]], strongest: float) -> list[float]:
+    """Return the velocity of the loudest layer of each key, m/s, on a scale on which the strongest of all is `strongest`.
+
+    Between two MIDI velocities it rises as within the layers of the keys. All are `strongest` if the MIDI velocity of a
+    loudest layer is unknown.
+    """
+    loudest = [max((layer.midi_velocity or 0.0) for layer in layers) for layers in keys]
+    known = _known(_strokes(keys))
+    rise = _rise(known) if known else VelocityCurve().rise
+    if not min(loudest, default=0.0) or rise > MOST_RISE:
+        return [strongest] * len(keys)
+    top = max(loudest)
+    return [strongest * math.exp(max(rise, LEAST_RISE) * (midi - top) / 63) for midi in loudest]
+
+
 def _strokes(keys: Sequence[Sequence[Layer]]) -> list[Strokes]:
     """Return the strokes of the keys with two or more. Recordings of one stroke at two microphones are one."""
     strokes = [[*dict.fromkeys((layer.midi_velocity, layer.velocity) for layer in layers)] for layers in keys]
