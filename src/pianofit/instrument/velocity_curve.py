@@ -35,7 +35,7 @@ def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
 
 
 def loudest_velocities(keys: Sequence[Sequence[Layer]], strongest: float) -> list[float]:
-    """Return the velocity of the loudest layer of each key, m/s, on a scale on which the strongest of all is `strongest`.
+    """Return the velocity of the loudest layer of each key, m/s, if that of the strongest of all is `strongest`.
 
     Between two MIDI velocities it rises as within the layers of the keys. All are `strongest` if the MIDI velocity of a
     loudest layer is unknown.
