@@ -12,6 +12,8 @@ from hypothesis import settings
 from jaxtyping import install_import_hook
 from threadpoolctl import threadpool_limits
 
+from pianofit.program_folder import enable_program_cache
+
 # Modules that write shapes in their signatures: every call is checked against them. An int is a float too (PEP 484).
 CHECKED = [
     "pianofit.felt.steps",
@@ -31,16 +33,21 @@ settings.load_profile("pianofit")
 # Files that begin first, the longest first, so that no worker is left with one of them at the end.
 FIRST = (
     "gate", "api", "docs", "felt_fit", "examples", "batch_fit", "views", "counts", "cli", "felt_outside", "felt_laws",
-    "coverage", "recipes", "reproduce", "result", "felt_own", "analysis",
+    "coverage", "recipes", "reproduce", "felt_own", "analysis",
 )  # fmt: skip
 # Files whose tests share the fits of `twin_cases`, which are kept in memory: one worker runs them all.
-SHARED = ("gate", "fit", "fit_recordings", "microphones")
+SHARED = ("gate", "fit", "fit_recordings", "microphones", "measured", "compare", "derived", "result")
 
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Leave the studies out, unless `-m` asks for something."""
+    """Leave the studies out, unless `-m` asks for something.
+
+    Keep what JAX compiles, as the command line does: a second run of the tests compiles nothing. JAX is not imported
+    yet, so the processes that the tests start keep and find it too.
+    """
+    enable_program_cache()
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
 
@@ -71,14 +78,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     config.option.loadscopereorder = False
     return Files(config, log)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _compiled_programs() -> None:
-    """Keep what JAX compiles, as the command line does: a second run of the tests compiles nothing."""
-    from pianofit.program_folder import enable_program_cache
-
-    enable_program_cache()
 
 
 @pytest.fixture(scope="session", autouse=True)

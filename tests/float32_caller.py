@@ -16,9 +16,10 @@ PATHS = (Path(__file__).parent, Path(__file__).parents[1] / "benchmarks")
 
 
 def environment() -> dict[str, str]:
-    """Of a process that finds this module and the benchmarks."""
+    """Of a process that finds this module and the benchmarks, without settings of JAX."""
     paths = [*map(str, PATHS), os.environ.get("PYTHONPATH", "")]
-    return os.environ | {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+    own = {name: x for name, x in os.environ.items() if not name.startswith("JAX_")}
+    return own | {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
 def own() -> tuple[jax.Array, jax.Array]:

@@ -146,7 +146,7 @@ def test_errors_are_honest_and_near_the_bound(name):
     f0, B, partials, b1, d2 = STRINGS[name]
     truth = string(f0, B, min(partials, 40), b1, d2, seed=5)
     least = _cramer_rao(truth, noise)
-    for seed in range(30 if name == "A6" else 6):
+    for seed in range(20 if name == "A6" else 6):
         table = analyse(truth.recording(noise=noise, seed=seed), note=name).partials
         i = np.searchsorted(truth.number, table.number)
         assert len(table) > 0.9 * len(truth.number)

@@ -311,11 +311,11 @@ def test_arguments_that_do_not_fit_are_named(change, message):
 
 @pytest.mark.parametrize("chains", [1, 16])
 def test_rastrigins_deepest_minimum_is_found_among_ten_thousands(chains):
-    """There are 11^4 minima. At a success rate of 95 %, two failures have a probability of 1/10, three of 1/90."""
+    """There are 11^4 minima. At a success rate of 95 %, one failure of six has a probability of 1/4, two of 1/30."""
     moved = np.array([0.4, -1.1, 0.8, 1.3])
-    ends = [anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(10)]
+    ends = [anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(6)]
     found = [end.cost < 0.01 and np.abs(end.z - moved).max() < 0.01 for end in ends]
-    assert sum(found) >= 8
+    assert sum(found) >= 5
 
 
 def test_a_smooth_bowl_is_searched_to_its_bottom():

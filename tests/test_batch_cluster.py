@@ -68,36 +68,46 @@ def cluster(folder: Path, workers: int) -> Iterator[Machines]:
         made.end()
 
 
-def expected(jobs, out: Path) -> dict:
-    """Results of local processes."""
-    run_batch(jobs, out, lambda s: ProcessPool(2, 2**31, 60.0, s.scratch, work=quick_work))
-    return results(out)
+TEXTS = [f"slow {0.3 + 0.01 * i}" for i in range(8)]
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory):
+    """A library, its jobs, and their results from local processes."""
+    place = tmp_path_factory.mktemp("own")
+    jobs = library(place / "in", TEXTS)
+    run_batch(jobs, place / "out", lambda s: ProcessPool(2, 2**31, 60.0, s.scratch, work=quick_work))
+    return place / "in", jobs, results(place / "out")
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory):
+    """The cluster of the tests that do not kill its scheduler. Who kills a worker adds another."""
+    with cluster(tmp_path_factory.mktemp("dask"), 2) as made:
+        yield made
 
 
 @pytest.mark.parametrize("by_value", [True, False])
-def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(tmp_path, by_value):
-    texts = [f"slow {0.4 + 0.01 * i}" for i in range(6)]
-    jobs = library(tmp_path / "in", texts)
-    with cluster(tmp_path / "dask", 2) as machines:
-        events = []
+def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(machines, local, tmp_path, by_value):
+    (_, jobs, expected), events = local, []
 
-        def tell(progress):
-            if progress.event:
-                events.append(progress.event)
-                if len(events) == 1:  # the other worker is in the middle of a job
-                    killed(machines.workers[0])
+    def tell(progress):
+        if progress.event:
+            events.append(progress.event)
+            if len(events) == 1:  # the other worker is in the middle of a job
+                killed(machines.workers.pop(0))
 
-        found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, by_value, quick_work), tell=tell)
-    assert found.counts == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
-    assert results(tmp_path / "out") == expected(jobs, tmp_path / "own")
+    found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, by_value, quick_work), tell=tell)
+    machines.workers.append(machines.add())
+    assert found.counts == {"done": 8, "failed": 0, "running": 0, "waiting": 0}
+    assert results(tmp_path / "out") == expected
 
 
-def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_path):
-    texts = [f"slow {0.3 + 0.01 * i}" for i in range(8)]
-    jobs = library(tmp_path / "in", texts)
+def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(machines, local, tmp_path):
+    folder, jobs, expected = local
     out = tmp_path / "out"
-    with cluster(tmp_path / "dask", 2) as machines:
-        process = python(DRIVE, tmp_path / "in", out, machines.address)
+    with cluster(tmp_path / "dask", 2) as others:
+        process = python(DRIVE, folder, out, others.address)
         assert process.stdout is not None
         assert "done in" in process.stdout.readline()
         killed(process)
@@ -106,26 +116,26 @@ def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_
 
         def tell(progress):
             if "done in" in progress.event:
-                killed(machines.scheduler)
+                killed(others.scheduler)
 
         with pytest.raises(OutputError, match="scheduler is gone"):
-            run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work), tell=tell)
+            run_batch(jobs, out, lambda _: DaskPool(others.address, True, quick_work), tell=tell)
         kept = status(out).counts
         assert kept["done"] > len(first)
         assert kept["done"] + kept["waiting"] == 8
-    with cluster(tmp_path / "dask2", 1) as machines:
-        run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work))
-    assert results(out) == expected(jobs, tmp_path / "own")
+    run_batch(jobs, out, lambda _: DaskPool(machines.address, True, quick_work))
+    assert results(out) == expected
 
 
-def test_a_result_that_is_lost_with_its_worker_is_computed_again(tmp_path):
+def test_a_result_that_is_lost_with_its_worker_is_computed_again(machines, tmp_path):
     (job,) = library(tmp_path / "in", ["one"])
     ended = []
-    with cluster(tmp_path / "dask", 1) as machines, DaskPool(machines.address, True, quick_work) as pool:
+    with DaskPool(machines.address, True, quick_work) as pool:
         pool.submit(job)
         (future,) = pool._begun
         wait(lambda: future.status == "finished")
-        killed(machines.workers[0])
+        while machines.workers:
+            killed(machines.workers.pop())
         wait(lambda: future.status == "lost")
         machines.workers.append(machines.add())
         wait(lambda: ended.extend(pool.finished(0.5)) or ended)
@@ -133,12 +143,11 @@ def test_a_result_that_is_lost_with_its_worker_is_computed_again(tmp_path):
     assert [(job, result.files) for job, result in ended] == [(job, quick_work(job).files)]
 
 
-def test_what_fails_on_a_worker_is_told_here(tmp_path):
+def test_what_fails_on_a_worker_is_told_here(machines, tmp_path):
     jobs = library(tmp_path / "in", ["one", "refuse is silent", "three"])
-    with cluster(tmp_path / "dask", 1) as machines:
-        found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, True, quick_work))
-        (tmp_path / "in/A0.wav").unlink()
-        gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: DaskPool(machines.address, True, quick_work))
+    found = run_batch(jobs, tmp_path / "out", lambda _: DaskPool(machines.address, True, quick_work))
+    (tmp_path / "in/A0.wav").unlink()
+    gone = run_batch(jobs[:1], tmp_path / "out2", lambda _: DaskPool(machines.address, True, quick_work))
     assert [k.reason for k in found.keys] == ["", "is silent", ""]
     assert "A0.wav: no such file" in gone.keys[0].reason
 

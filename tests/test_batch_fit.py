@@ -31,6 +31,17 @@ def in_a_worker(job: Job, folder: Path) -> JobResult:
     return found[0][1]
 
 
+@pytest.fixture
+def run_here(capsys):
+    """Run the command line in this process."""
+
+    def run_here(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run_here
+
+
 def run(*arguments: object) -> tuple[int, str, str]:
     process = python(CLI, *arguments)
     output, errors = process.communicate(timeout=300)
@@ -71,24 +82,24 @@ def test_what_went_wrong_is_told_and_the_rest_is_done(batch):
     assert {"fit.json", "fitted.wav", "initial.wav"} <= set(results(place / "out")["grand-C4"])
 
 
-def test_the_same_command_finds_nothing_to_do(batch):
+def test_the_same_command_finds_nothing_to_do(batch, run_here):
     place, command, _ = batch
     before = (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns
-    code, output, errors = run(*command, "--json")
+    code, output, errors = run_here(*command, "--json")
     document = json.loads(output)
     assert (code, errors) == (3, "")
     assert document["counts"] == {"done": 1, "failed": 2, "running": 0, "waiting": 0}
     assert (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns == before
 
 
-def test_its_status_and_its_plan(batch):
+def test_its_status_and_its_plan(batch, run_here):
     place, command, _ = batch
-    code, output, _ = run("status", place / "out", "--json")
+    code, output, _ = run_here("status", place / "out", "--json")
     document = json.loads(output)
     assert code == 0
     assert (document["at_work"], document["counts"]["failed"]) == (False, 2)
     assert [k["detected_note"] for k in document["keys"]] == ["", "", "A4"]
-    code, output, _ = run(*command, "--dry-run", "--retry-failed", "--seed", 3)
+    code, output, _ = run_here(*command, "--dry-run", "--retry-failed", "--seed", 3)
     assert code == 0
     key, *files = output.splitlines()[:3]
     assert key == "grand-C4: C4, 2 recordings, to do: settings changed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tomllib
 from dataclasses import replace
@@ -22,8 +23,11 @@ from pianofit.setup import Setup
 TEXTS = ["one", "two", "three"]  # A0 to B0
 
 
-def pool(store) -> ProcessPool:
-    return ProcessPool(1, 2**31, 60.0, store.scratch, work=note_work)
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """One worker, the same for all batches."""
+    with ProcessPool(1, 2**31, 60.0, tmp_path_factory.mktemp("worker") / "scratch", work=note_work) as one:
+        yield lambda _: contextlib.nullcontext(one)
 
 
 def no_workers(_):
@@ -35,7 +39,7 @@ def prior_in(folder: Path, key: str):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(pool, tmp_path_factory):
     """A library, the folder of its batch in two passes, and the events."""
     place = tmp_path_factory.mktemp("joint")
     jobs, events = library(place / "in", TEXTS), []
@@ -64,7 +68,7 @@ def test_the_same_call_does_nothing_more(whole):
     assert set(plan_joint_jobs(jobs, place / "out").values()) == {"done"}
 
 
-def test_an_ordinary_batch_continues_with_a_second_pass(whole, tmp_path):
+def test_an_ordinary_batch_continues_with_a_second_pass(pool, whole, tmp_path):
     place, jobs, _ = whole
     run_batch(jobs, tmp_path / "out", pool)
     assert plan_joint_jobs(jobs, tmp_path / "out")["A0"] == "to do: second fit"
@@ -74,7 +78,7 @@ def test_an_ordinary_batch_continues_with_a_second_pass(whole, tmp_path):
     assert prior_in(tmp_path / "out", "A0") == prior_in(place / "out", "A0")
 
 
-def test_an_interrupted_second_pass_keeps_first_fits_and_continues(tmp_path):
+def test_an_interrupted_second_pass_keeps_first_fits_and_continues(pool, tmp_path):
     """The third key stops the batch: two keys have second fits then, and the third its first."""
     jobs = library(tmp_path / "in", ["one", "two", "stop"])
     with pytest.raises(OutputError):
@@ -97,7 +101,7 @@ def _with_file(jobs: list[Job], key: str, folder: Path) -> list[Job]:
     return found
 
 
-def test_a_changed_key_changes_the_priors_of_all_others(whole, tmp_path):
+def test_a_changed_key_changes_the_priors_of_all_others(pool, whole, tmp_path):
     place, _, _ = whole
     shutil.copytree(place / "out", tmp_path / "out")
     jobs, events = library(tmp_path / "in", ["one", "two", "three 1.2"]), []
@@ -109,7 +113,7 @@ def test_a_changed_key_changes_the_priors_of_all_others(whole, tmp_path):
     assert prior_in(tmp_path / "out", "A0") != prior_in(place / "out", "A0")
 
 
-def test_a_key_without_a_second_fit_keeps_its_first(tmp_path):
+def test_a_key_without_a_second_fit_keeps_its_first(pool, tmp_path):
     jobs = library(tmp_path / "in", ["one", "two", "no-second", "refuse is silent"])
     found = run_joint_batch(jobs, tmp_path / "out", pool)
     assert {entry.key: entry.state for entry in found.keys} == {
@@ -119,7 +123,7 @@ def test_a_key_without_a_second_fit_keeps_its_first(tmp_path):
     assert not (tmp_path / "out/keys/C1").exists()
 
 
-def test_instruments_are_separate_and_a_single_key_keeps_its_first_fit(tmp_path):
+def test_instruments_are_separate_and_a_single_key_keeps_its_first_fit(pool, tmp_path):
     jobs = library(tmp_path / "in", TEXTS)
     names = "grand", "grand", "upright"
     jobs = [replace(job, key=f"{name}-{job.key}") for job, name in zip(jobs, names, strict=True)]

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import calibration
 
 # Data sets, and the probability that a right posterior fails, shared by two tests of each parameter.
-CASES, FALSE_ALARM = 60, 1e-4
+CASES, FALSE_ALARM = 40, 1e-4
 # With widths of the priors times these, Laplace's approximation is nearly exact.
 HYPER, HAMMER = 0.05, 0.25
 

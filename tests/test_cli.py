@@ -31,10 +31,7 @@ from pianofit.mend import MendOptions
 from pianofit.report.summary import _recording_line
 
 PROGRAM = (sys.executable, "-m", "pianofit")
-AS_PROCESSES = (
-    "audio-truncated", "path-missing", "setup-unknown-key", "fit-velocity-word", "render-nested", "simulate-out-exists",
-    "demo-out-not-empty",
-)  # fmt: skip
+AS_PROCESSES = ("audio-truncated", "fit-velocity-word", "demo-out-not-empty")
 
 
 def state(folder: Path) -> dict[str, tuple[float, int]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import itertools
 import json
 import math
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twin_cases import FIRST, record_model, setup_of
+from twin_cases import short_fit as fitted
 
 import pianofit
 from pianofit.cli import main
@@ -23,12 +22,6 @@ from pianofit.report.static_law import static_law
 from pianofit.schema.decode import encode_json
 from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import Quantities, Quantity
-
-
-@functools.cache
-def fitted() -> pianofit.Result:
-    """Return one calibrated fit."""
-    return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
 def with_quantities(fit: Fit, **entries: Quantity) -> Fit:

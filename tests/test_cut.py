@@ -107,9 +107,13 @@ def test_the_command_lists_without_writing(file, tmp_path, capsys):
     ("{note}", "names 3 strokes"), ("{note.__class__}{number}", "no fields but"), ("{number", "no fields but"),
     ("../{number}", "cannot be a file name"), ("", "cannot be a file name"),
 ])  # fmt: skip
-def test_bad_patterns_write_nothing(file, tmp_path, pattern, message):
+def test_bad_patterns_write_nothing(session, tmp_path, pattern, message):
+    """Three strokes of one key."""
+    samples, truth = session
+    short = tmp_path / "short.wav"
+    soundfile.write(short, samples[:, : truth[3][0] - RATE // 5].T, RATE, subtype="PCM_24")
     with pytest.raises(SetupError, match=message):
-        cut_recording(file, tmp_path / "cut", pattern)
+        cut_recording(short, tmp_path / "cut", pattern)
     assert not (tmp_path / "cut").exists()
 
 

@@ -281,7 +281,7 @@ def test_an_interrupted_command_is_one_line_and_goes_on(tmp_path):
 
 
 def test_a_contact_grid_is_sufficient_and_not_wasteful():
-    for key, speed in (("A0", 0.5), ("C4", 2.0), ("C7", 4.0)):
+    for key, speed in (("A0", 0.5), ("C7", 4.0)):
         it = typical(key)
         hammer = it.hammer._replace(v_H0=speed)
         grid = pianofit.contact_grid(it.string, hammer, it.geometry)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from report_cases import SHARED, covariance_content, example_content, example_fit, minimum
 from scipy.special import ndtr
-from twin_cases import FIRST, record_model, setup_of
+from twin_cases import FIRST
+from twin_cases import short_fit as calibrated
 
 import pianofit
 from pianofit.conversions import HALF_WIDTH_95
@@ -25,12 +25,6 @@ from pianofit.schema.fit import Fit
 from pianofit.schema.quantities import Covariance
 
 LAW = LAWS["hunt-crossley"]
-
-
-@functools.cache
-def calibrated() -> Result:
-    """A fit of one calibrated recording whose truth is known."""
-    return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
 def gaussian(weights: tuple[float, ...] = (1.0,), free=("c", "kappa", "p", "M_H"), size=0.05) -> Fit:

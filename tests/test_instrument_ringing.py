@@ -17,7 +17,7 @@ from pianofit.cli import app
 from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
-from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
+from pianofit.instrument import find_fits, load_instrument, load_keys
 from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_keys import guess_response
 from pianofit.instrument.key_quantities import stroke_level
@@ -41,8 +41,13 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def document(folder):
-    return document_of(build_instrument(load_keys(find_fits([folder])), "twin"))
+def built(folder):
+    return load_instrument(folder)
+
+
+@pytest.fixture(scope="module")
+def document(built):
+    return document_of(built)
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +57,10 @@ def file(document, tmp_path_factory):
     return path
 
 
-def test_a_recorded_key_sounds_as_its_fit(folder, file):
+def test_a_recorded_key_sounds_as_its_fit(folder, built, file):
     """To the quantisation of a 16-bit knock, at any velocity on the instrument's scale."""
     fit = load_keys(find_fits([folder]))[0]
-    own, played = (load_instrument(path).keys[50] for path in (folder, file))
+    own, played = (piano.keys[50] for piano in (built, load_instrument(file)))
     scale = own.fit.velocities[-1] / fit.summary.velocities[-1]
     for velocity in (0.5, 4.0):
         expected = fit.note.render(velocity, seconds=1.0, mono=False)
@@ -66,19 +71,19 @@ def test_a_recorded_key_sounds_as_its_fit(folder, file):
         assert np.abs(sound - expected)[:, RATE // 2 :].max() < 1e-6 * np.abs(expected).max()
 
 
-def test_every_key_that_was_not_recorded_has_modes_in_all_channels(folder, file):
-    built, read = (load_instrument(path).keys for path in (folder, file))
-    for keys in (built, read):
+def test_every_key_that_was_not_recorded_has_modes_in_all_channels(built, file):
+    made, read = (piano.keys for piano in (built, load_instrument(file)))
+    for keys in (made, read):
         assert all(keys[midi].note.modal_response.channels == 2 for midi in keys if midi != 79)
         assert keys[79].note.modal_response is None
         assert keys[51].note.pre_onset_s > 0
-    own, again = built[52].note.modal_response, read[52].note.modal_response
+    own, again = made[52].note.modal_response, read[52].note.modal_response
     assert own.pole == pytest.approx(again.pole, rel=1e-9)
     assert own.pattern == pytest.approx(again.pattern, rel=1e-9)
 
 
-def test_neighbouring_guessed_keys_are_equally_loud(folder):
-    keys = load_instrument(folder).keys
+def test_neighbouring_guessed_keys_are_equally_loud(built):
+    keys = built.keys
     for velocity, most in ((4.0, 0.5), (1.0, 1.5)):
         level = np.array([stroke_level(keys[midi].note, velocity) for midi in (24, 25, 58, 59, 60, 61, 96, 97)])
         assert np.abs(np.diff(level)[[0, 2, 3, 4, 6]]).max() < most

@@ -10,7 +10,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from twin_cases import FIRST, SEVERAL, record_model, setup_of, strokes_of, through
+from twin_cases import FIRST, SEVERAL, inferred, record_model, setup_of, strokes_of, through
 
 import pianofit
 from pianofit.analysis import analyse
@@ -37,6 +37,8 @@ def recorded(quantity: str = "velocity"):
 
 @functools.cache
 def calibrated(**more) -> InferenceResult:
+    if not more:
+        return inferred("model")
     return run_inference(
         *recorded(), replace(setup_of(FIRST), **{k: dict(v) if k == "fixed" else v for k, v in more.items()})
     )

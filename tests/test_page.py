@@ -123,9 +123,10 @@ def test_a_damper_adds_its_rate_and_does_not_click():
         job(entry, struck(3.0), [at - 1, "control", 64, 127], [at, "noteOff", 60]),
     ])  # fmt: skip
     after = np.arange(RATE - at * BLOCK) / RATE
-    assert damped[:, : at * BLOCK] == pytest.approx(free[:, : at * BLOCK], abs=1e-12)
+    np.testing.assert_allclose(damped[:, : at * BLOCK], free[:, : at * BLOCK], rtol=1e-6, atol=1e-12)
     expected = free[:, at * BLOCK :] * np.exp(-entry["damper"]["rate"] * after)
-    assert damped[:, at * BLOCK :] == pytest.approx(expected, abs=1e-6)  # modes end where they are inaudible
+    # Modes end where they are inaudible.
+    np.testing.assert_allclose(damped[:, at * BLOCK :], expected, rtol=1e-6, atol=1e-6)
     assert (caught == free).all()
     bend = np.abs(np.diff(damped[0], 2))
     assert bend[at * BLOCK - 3 : at * BLOCK + 24].max() <= 1.05 * bend[at * BLOCK - 2400 : at * BLOCK - 3].max()
@@ -139,7 +140,7 @@ def test_keys_sound_together_as_they_do_alone_and_silence_is_silent():
         {**both, "events": [first, second]}, {**both, "events": [first]}, {**both, "events": [second]},
         {**both, "events": [first, second, [50, "panic"]]},
     ])  # fmt: skip
-    assert together == pytest.approx(a + b, abs=1e-12)
+    np.testing.assert_allclose(together, a + b, rtol=1e-6, atol=1e-12)
     assert not stopped[:, 50 * BLOCK :].any()
 
 
@@ -194,7 +195,8 @@ def test_the_output_never_passes_its_ceiling_and_leaves_alone_what_fits(loud):
     free, limited = play([job(entry, struck(4.0)), job(entry, struck(4.0), output=True)])
     if loud > 1:
         assert 0.5 < np.abs(limited).max() <= 0.892 < np.abs(free).max()
-    assert np.abs(free).max() > 0.892 or limited[:, BLOCK:] == pytest.approx(free[:, :-BLOCK], abs=1e-12)
+    if np.abs(free).max() <= 0.892:
+        np.testing.assert_allclose(limited[:, BLOCK:], free[:, :-BLOCK], rtol=1e-6, atol=1e-12)
 
 
 def test_a_saved_sound_is_a_wav_file():

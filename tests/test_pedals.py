@@ -94,7 +94,7 @@ def test_a_pedal_pressed_again_catches_resonance_too():
 @pytest.mark.parametrize("options", [DRY, PlayOptions()])
 def test_half_pedal_is_monotone(options):
     """The higher the controller, the longer a note that was let go rings."""
-    left = [energy(sound(options, pedal=[(0.0, value)]), 0.7, 1.2) for value in range(16, 80, 6)]
+    left = [energy(sound(options, pedal=[(0.0, value)]), 0.7, 1.2) for value in range(16, 80, 8)]
     assert (np.diff(left) >= -1e-9).all()
     assert left[-1] - left[0] > 40
     assert np.diff(left).max() < 30  # no switch
@@ -103,8 +103,8 @@ def test_half_pedal_is_monotone(options):
 def test_a_switch_is_what_it_was():
     """MIDI defines 64 and above as down. Below, files with a switch have 0."""
     down, half = sound(pedal=[(0.0, 127)]), sound(pedal=[(0.0, 64)])
-    assert down == pytest.approx(half, abs=1e-12)
-    assert sound(pedal=[(0.0, 0)]) == pytest.approx(sound(), abs=1e-12)
+    np.testing.assert_allclose(down, half, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(sound(pedal=[(0.0, 0)]), sound(), rtol=1e-6, atol=1e-12)
 
 
 @given(st.floats(0, 126), st.floats(0.5, 127), st.floats(0, 127), st.floats(0, 127))

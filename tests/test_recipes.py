@@ -108,6 +108,11 @@ def paper() -> SearchResult:
     return search(evaluations=3000)
 
 
+@functools.cache
+def short() -> SearchResult:
+    return search(evaluations=FEW, seed=3)
+
+
 def values(end: SearchResult) -> dict[str, float]:
     return dict(zip(FIT_NAMES, (*end.string, *end.hammer), strict=True))
 
@@ -153,11 +158,11 @@ def test_the_three_steps_lead_from_the_papers_initial_values_near_the_truth():
 
 
 def test_the_string_is_held_while_the_hammer_is_searched():
-    assert search(evaluations=FEW).string == paper().string
+    assert short().string == paper().string
 
 
 def test_the_same_seed_gives_the_same_result():
-    assert search(evaluations=FEW, seed=3) == search(evaluations=FEW, seed=3)
+    assert search(evaluations=FEW, seed=3) == short()
 
 
 def test_the_global_criterion_goes_down_and_leaves_the_brightness_behind(monkeypatch):
@@ -232,8 +237,15 @@ def fitted(given=None, **more: Any) -> Fit:
     return fit(recording(), analysis(), given or setup(), **more)
 
 
+@functools.cache
+def result_of(calibrated: bool) -> pianofit.Result:
+    """A short fit of the demo, or of the same sound without a scale."""
+    sound, analysed, given = (recording(), analysis(), setup()) if calibrated else uncalibrated()
+    return bensa2005.fit(sound, analysis=analysed, setup=given, evaluations=FEW)
+
+
 def test_no_interval_is_claimed_and_that_is_said():
-    whole = fitted(evaluations=FEW)
+    whole = result_of(True).fit
     json.dumps(builtins_of(whole), allow_nan=False)
     assert whole.recipe == "paper"
     assert all(p.interval is None for p in whole.parameters.values())
@@ -264,8 +276,8 @@ def test_values_at_a_bound_are_said():
 
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
-    sound, analysed, given = (recording(), analysis(), setup()) if calibrated else uncalibrated()
-    result = bensa2005.fit(sound, analysis=analysed, setup=given, evaluations=FEW)
+    sound, analysed = (recording(), analysis()) if calibrated else uncalibrated()[:2]
+    result = result_of(calibrated)
     scale = 20 * np.log10(start().scale) if calibrated else 0.0
     for played in (result.initial, result.fitted):
         # Levels of the sounds as the analysis measures them, in file units.
@@ -277,7 +289,7 @@ def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
 
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
-    whole = fit(*uncalibrated(), evaluations=FEW)
+    whole = result_of(False).fit
     states = {name: p.status for name, p in whole.parameters.items()}
     assert all(states[name] == "not-identifiable" for name in ("K_H", "mu", "p"))
     assert states["v_H0"] == "assumed"

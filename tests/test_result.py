@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import csv
-import functools
 import json
 import sys
 from dataclasses import replace
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
-from twin_cases import FIRST, record_model, setup_of
+from twin_cases import short_fit as result
 
 import pianofit
 from pianofit.errors import FitError, OutputError, ParameterError
@@ -24,12 +23,6 @@ from pianofit.schema.decode import encode_json
 from pianofit.schema.quantities import STATUSES, Quantities
 
 HOSTILE = '<script>alert("x")</script>'
-
-
-@functools.cache
-def result() -> pianofit.Result:
-    """One calibrated fit of a sound made by the model itself."""
-    return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
 @pytest.fixture

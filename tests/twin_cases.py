@@ -15,7 +15,8 @@ import scipy.signal
 from brute_force import make_synthetic_recording, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.inference import run_inference
+from pianofit.fitting import fit
+from pianofit.inference import InferenceResult, run_inference
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording.recording import Recording, recording_from_samples
@@ -200,9 +201,22 @@ def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measu
 
 
 @functools.cache
+def inferred(by: str = "brute-force") -> InferenceResult:
+    """The inference on a calibrated recording, started from the literature hammer."""
+    recording = (record if by == "brute-force" else record_model)(FIRST)
+    return run_inference([recording], [analyse(recording)], setup_of(FIRST))
+
+
+@functools.cache
 def calibrated(by: str = "brute-force") -> Result:
-    """The fit of a calibrated recording, started from the literature hammer."""
-    return fit_twin((record if by == "brute-force" else record_model)(FIRST), setup_of(FIRST))
+    """The result of `inferred`."""
+    return build_result(inferred(by))
+
+
+@functools.cache
+def short_fit() -> Result:
+    """The fit of 1.5 s of the calibrated recording by the model."""
+    return fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
 @functools.cache
