@@ -20,7 +20,7 @@ from pianofit.analysis import (
     partial_rows,
 )
 from pianofit.analysis.baseband_fit import fit_bands, measure_levels
-from pianofit.analysis.glide import glide_detected
+from pianofit.analysis.glide import PitchGlide, _fit_glide, glide_detected
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
 from pianofit.analysis.note_names import midi_to_note, note_to_hz, note_to_midi
 from pianofit.dsp.bands import kaiser_bands
@@ -368,6 +368,19 @@ def test_a_glide_too_small_to_hear_biases_no_level():
     truth = string(185.0, 2.3e-4, 26, 0.4, 3e-3, seed=6)
     glides, stays = (analyse(truth.recording(noise=1e-7, bend=b), note="F#3").partials for b in (0.08, 0.0))
     np.testing.assert_allclose(glides.level, stays.level, atol=0.004)
+
+
+def test_windows_that_no_glide_explains_do_not_become_one_of_the_first_50_ms():
+    """Beats raise the pitch of the first window by 0.1 cents: two polarisations, 0.8 cents apart, of a bass string."""
+    spans, errors = [(0.0, 0.35), (1.0, 2.0), (2.0, 3.0)], np.full(3, 0.002)
+    beats = _fit_glide(spans, np.array([0.104, 0.010, 0.021]), errors)
+    assert abs(beats.start_cents) < 0.1
+    for start, tau in ((0.1, 0.4), (3.0, 0.2), (-1.0, 2.0)):
+        true = PitchGlide(start, tau)
+        falls = [1731.2 * np.mean(true.relative_deviation(np.linspace(*span, 1000))) for span in spans]
+        found = _fit_glide(spans, np.array(falls), errors)
+        assert found.start_cents == pytest.approx(start, rel=0.05)
+        assert found.tau == pytest.approx(tau, rel=0.05)
 
 
 def test_a_short_note_that_glides_says_how_little_is_known_of_it():

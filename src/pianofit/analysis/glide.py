@@ -23,6 +23,11 @@ _REFERENCE = 1  # index of the window that defines f0
 # A glide is detected if the pitch changes by more than both.
 _SIGNIFICANT = 4.0  # standard errors
 _LEAST_GLIDE = 0.01  # cents; sounds of constant pitch without noise move by less, due to leakage between bands
+# Median τ, s, and standard deviation of its logarithm, of the glides of recorded piano strings whose windows determine
+# it. Beats can move the pitch of one window. Without this prior, the glide is then one of the first 50 ms, of some
+# cents.
+_TAU, _TAU_SD = 0.8, 0.6
+_ROUNDING = 1e-4  # cents; without noise the windows have no error
 
 Window = tuple[float, float, float, float]  # start s, stop s, cents, standard error in cents
 
@@ -92,10 +97,10 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
     """
     windows = [row for row in windows if np.isfinite(row[3])]
     spans, bands = [row[:2] for row in windows], fitted.bands
-    total = np.array([row[2] for row in windows])
+    total, errors = np.array([row[2:] for row in windows]).T
     error, best = float(np.abs(total).max()), fitted
     for _ in range(8):
-        straight = replace(bands, z=bands.z * _compensation(bands, fitted.fit, _fit_glide(spans, total)))
+        straight = replace(bands, z=bands.z * _compensation(bands, fitted.fit, _fit_glide(spans, total, errors)))
         fitted = fit_bands(straight, fitted.density)
         remaining = {row[:2]: row[2] for row in glide_windows(fitted)}
         cents = np.array([remaining.get(span, 0.0) for span in spans])
@@ -104,7 +109,7 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
         best, error, total = fitted, float(np.abs(cents).max()), total + cents
     # Relative error: one window does not determine τ. With more, the weighting within a window limits it.
     relative = 0.3 if len(windows) == 2 else 0.01
-    return best, _fit_glide(spans, total), max(error, relative * max(abs(row[2]) for row in windows))
+    return best, _fit_glide(spans, total, errors), max(error, relative * max(abs(row[2]) for row in windows))
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
@@ -113,14 +118,17 @@ def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
     return tau * (np.exp(-start / tau) - np.exp(-stop / tau)) / (stop - start)
 
 
-def _fit_glide(spans: list[tuple[float, float]], cents: np.ndarray) -> PitchGlide:
-    """The glide that changes the pitch of the windows by `cents` relative to the reference window."""
+def _fit_glide(spans: list[tuple[float, float]], cents: np.ndarray, errors: np.ndarray) -> PitchGlide:
+    """The most probable glide that changes the pitch of the windows by `cents` relative to the reference window.
+
+    Beats move the pitch of all partials of a window alike, so the scatter of the windows is unknown. It is integrated
+    out, above their standard errors.
+    """
     tau = np.geomspace(0.05, 5.0, 1000)  # s
     moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
     size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
-    misfit = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
-    # One window next to the reference is consistent with any τ. The small penalty then selects a usual one, 0.5 s.
-    best = int(np.argmin(misfit + 1e-4 * np.log(tau / 0.5) ** 2))
+    misfit = ((cents[:, None] - size * moved) ** 2).sum(axis=0) + (errors**2).sum() + _ROUNDING**2
+    best = int(np.argmin(len(spans) * np.log(misfit) + (np.log(tau / _TAU) / _TAU_SD) ** 2))
     return PitchGlide(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
 
 
