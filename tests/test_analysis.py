@@ -375,6 +375,8 @@ def test_windows_that_no_glide_explains_do_not_become_one_of_the_first_50_ms():
     spans, errors = [(0.0, 0.35), (1.0, 2.0), (2.0, 3.0)], np.full(3, 0.002)
     beats = _fit_glide(spans, np.array([0.104, 0.010, 0.021]), errors)
     assert abs(beats.start_cents) < 0.1
+    # One window says nothing of τ: it is that of most recorded strings.
+    assert 0.4 < _fit_glide(spans[:1], np.array([0.3]), errors[:1]).tau < 1.6
     for start, tau in ((0.1, 0.4), (3.0, 0.2), (-1.0, 2.0)):
         true = PitchGlide(start, tau)
         falls = [1731.2 * np.mean(true.relative_deviation(np.linspace(*span, 1000))) for span in spans]

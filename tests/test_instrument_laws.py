@@ -421,9 +421,9 @@ def test_a_key_without_loud_layers_is_set_to_what_its_midi_velocities_mean(tmp_p
     found = [key.summary.velocities[-1] for key in load_keys(files)]
     assert found == pytest.approx([LOUDEST_VELOCITY, LOUDEST_VELOCITY, true.at(60)])
     layers = [key.summary.layers for key in load_keys(files)]
-    assert loudest_velocities([*layers[:1], layers_of([1.0])], 4.0) == [4.0, 4.0]
+    assert loudest_velocities([*layers[:1], layers_of([1.0])]) == [LOUDEST_VELOCITY] * 2
     # Numbers of layers are not MIDI velocities.
-    assert loudest_velocities([layers_of((1.0, 3.0), (1, 2)), layers_of([1.0], [1])], 4.0) == [4.0, 4.0]
+    assert loudest_velocities([layers_of((1.0, 3.0), (1, 2)), layers_of([1.0], [1])]) == [LOUDEST_VELOCITY] * 2
 
 
 def test_midi_velocities_rise_with_the_layers():

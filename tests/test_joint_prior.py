@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from instrument_cases import ERRORS, fit_document, library, true_note, truth
+from instrument_cases import ERRORS, fit_document, library, true_note, truth, write_fit
 from observed_cases import GEOMETRY, played, tone
 from scipy import stats
 
@@ -147,6 +147,24 @@ def test_a_prior_holds_the_true_key(tmp_path):
             true = float(truth(name, [63])[0])
             assert abs(mean - true) < 3 * sd[name], name
             assert sd[name] < 0.4, name
+
+
+def test_the_prior_of_a_key_without_loud_layers_is_that_of_its_loudest_stroke(tmp_path):
+    """Strokes of 1, 2 and 4 m/s at MIDI velocities 1, 64 and 127; one key lacks the loudest."""
+    files = []
+    for midi in (48, 55, 62, 69):
+        strokes = {1: 1.0, 64: 2.0} | ({} if midi == 62 else {127: 4.0})
+        document = fit_document(true_note(midi), ERRORS, tuple(strokes.values()))
+        for row, number in zip(document["recordings"], strokes, strict=True):
+            row["midi_velocity"] = number
+        files.append(write_fit(tmp_path, midi, document))
+    keys = load_keys(files)
+    assert prior_of_key(keys, 62).velocity == pytest.approx(2.0)
+    assert prior_of_key(keys, 55).velocity == pytest.approx(4.0)
+    # The same hammers and levels as with all layers, on one scale of velocities.
+    whole = load_keys(find_fits([library(tmp_path / "whole", [62], errors=dict.fromkeys(ERRORS, 1e-9))]))[0]
+    (soft,) = [key for key in keys if key.midi == 62]
+    assert soft.measured.minima[0].mean == pytest.approx(whole.measured.minima[0].mean, abs=1e-6)
 
 
 def test_another_scale_of_the_velocities_is_another_hammer_with_the_same_sound():

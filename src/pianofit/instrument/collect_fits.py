@@ -34,7 +34,7 @@ from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..threads import one_blas_thread
 from .key_measurements import fitted_values, measurements_of, needed
-from .key_quantities import LOUDEST_VELOCITY, soft_hammer, stroke_level, within_ranges
+from .key_quantities import soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
 from .velocity_curve import loudest_velocities
 
@@ -205,7 +205,7 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
             f"{printable(files[0])}: the keys were recorded as {' and '.join(kinds)}; an instrument needs one quantity"
         )
     keys = [found[midi] for midi in sorted(found)]
-    velocities = loudest_velocities([_layers(key.fit, key.sizes) for key in keys], LOUDEST_VELOCITY)
+    velocities = loudest_velocities([_layers(key.fit, key.sizes) for key in keys])
     return [_key_fit(key, velocity) for key, velocity in zip(keys, velocities, strict=True)]
 
 

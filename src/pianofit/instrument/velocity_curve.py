@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ..schema.instrument import V_H0, Layer, VelocityCurve
+from .key_quantities import LOUDEST_VELOCITY
 
 # Prior of the velocity curve: standard deviations of the logarithm at MIDI velocity 64, and of its rise.
 VELOCITY_PRIOR_SD = (0.7, 0.5)
@@ -34,19 +35,19 @@ def fit_velocity_curve(keys: Sequence[Sequence[Layer]]) -> VelocityCurve:
     return _curve_through(strokes, "midi-velocities" if known and _rise(known) <= MOST_RISE else "layers")
 
 
-def loudest_velocities(keys: Sequence[Sequence[Layer]], strongest: float) -> list[float]:
-    """Return the velocity of the loudest layer of each key, m/s, if that of the strongest of all is `strongest`.
+def loudest_velocities(keys: Sequence[Sequence[Layer]]) -> list[float]:
+    """Return the velocity to which the loudest layer of each key is set, m/s, or the force of a pluck, N.
 
-    Between two MIDI velocities it rises as within the layers of the keys. All are `strongest` if the MIDI velocity of a
-    loudest layer is unknown.
+    It is `LOUDEST_VELOCITY` for the largest MIDI velocity of all, and falls from there as within the layers of keys. If
+    the MIDI velocity of a loudest layer is unknown, all have `LOUDEST_VELOCITY`.
     """
     loudest = [max((layer.midi_velocity or 0.0) for layer in layers) for layers in keys]
     known = _known(_strokes(keys))
     rise = _rise(known) if known else VelocityCurve().rise
     if not min(loudest, default=0.0) or rise > MOST_RISE:
-        return [strongest] * len(keys)
+        return [LOUDEST_VELOCITY] * len(keys)
     top = max(loudest)
-    return [strongest * math.exp(max(rise, LEAST_RISE) * (midi - top) / 63) for midi in loudest]
+    return [LOUDEST_VELOCITY * math.exp(max(rise, LEAST_RISE) * (midi - top) / 63) for midi in loudest]
 
 
 def _strokes(keys: Sequence[Sequence[Layer]]) -> list[Strokes]:
