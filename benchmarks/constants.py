@@ -51,7 +51,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     from pianofit.felt import FeltLaw, soft_skin
     from pianofit.inference import (
         batched_model,
-        curvature,
+        hyperparameters,
+        laplace,
         multistart,
         objective,
         observation_tables,
@@ -68,6 +69,9 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
     def median(which: int) -> Callable[[Any, float], Any]:
         return lambda value, factor: value._replace(median=place(which)(value.median, factor))
+
+    def loss(value: float, factor: float) -> float:
+        return 1 - (1 - value) / factor
 
     def spread(value: Any, factor: float) -> Any:
         return value._replace(spread=tuple(x * factor for x in value.spread))
@@ -135,7 +139,13 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FINER`": (batched_model, "FINER", plain),
         "`CONVERGED`": (optimiser, "CONVERGED", plain),
         "`HYPER_REACH`": (objective, "HYPER_REACH", plain),
-        "`NEGATIVE`": (curvature, "NEGATIVE", plain),
+        "`DRAWS`": (hyperparameters, "DRAWS", plain),
+        "`DEGREES`": (hyperparameters, "DEGREES", plain),
+        "`WIDENING`": (hyperparameters, "WIDENING", plain),
+        "`MODE_STEPS`": (hyperparameters, "MODE_STEPS", plain),
+        "`LONGEST`": (hyperparameters, "LONGEST", plain),
+        "`LEAST_PRECISION`": (hyperparameters, "LEAST_PRECISION", plain),
+        "`LARGEST_LOSS`": (laplace, "LARGEST_LOSS", loss),
         "`MAX_LOG_MASS_GAP`": (pipeline, "MAX_LOG_MASS_GAP", plain),
         "`MAX_OFFSET_CHANGE`": (pipeline, "MAX_OFFSET_CHANGE", plain),
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),

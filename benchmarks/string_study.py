@@ -16,13 +16,12 @@ import coverage_twins
 import numpy as np
 
 from pianofit.analysis import analyse, envelope_slopes
-from pianofit.inference.curvature import TablePoint, marginalise_nuisances
+from pianofit.inference.laplace import Minima, laplace
 from pianofit.inference.objective import Objective
 from pianofit.inference.pipeline import fit_string
 from pianofit.inference.problem import build_problem
 
 MOST = 2  # recordings
-HYPER = (0, 1, 2)  # unknown hyperparameters of frequencies and decays
 LOSSES = ("b1", "b2")
 
 
@@ -32,15 +31,10 @@ def errors(seed: int) -> tuple[np.ndarray, np.ndarray]:
     analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
     problem = build_problem(twin.recordings, analyses, twin.setup)
     found, objective = fit_string(problem), Objective.of_string(problem)
-    curvature = objective.prior(found.theta)[2][0].copy()
-    for term, part in zip(objective.terms, found.parts, strict=True):
-        point = part.residual[0], part.jacobian[0], part.phi[0], part.w[0], found.theta[0]
-        curvature += marginalise_nuisances(TablePoint(term.table, *point, HYPER)).curvature
+    _, posterior = laplace(objective, Minima(found, objective.total(found), np.ones(len(found), bool)))
     at = [problem.parametrisation.index_of(name) for name in LOSSES]
-    string = problem.parametrisation.index_of("c"), problem.parametrisation.index_of("kappa"), *at
-    covariance = np.linalg.inv(curvature[np.ix_(string, string)])
     true = np.log([getattr(twin.truth.string, name) for name in LOSSES])
-    return found.theta[0][at] - true, np.sqrt(np.diag(covariance))[-len(LOSSES) :]
+    return found.theta[0][at] - true, np.sqrt(np.diag(posterior.covariance[0]))[at]
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Second derivatives of F by the log-weights of Student's t, and F with all nuisances integrated out.
+"""Second derivatives of F by the log-weights of Student's t, and the information that they take from θ.
 
 By the log-weights x the Hessian has a closed form in P = C⁻¹: a weight changes one entry of C's diagonal,
 ∂C/∂x_i = -v_i, v = var/w. At one node
@@ -10,7 +10,7 @@ and of a censored partial, with m = tᵀr,
 
     ∂m/∂x_i = v_i t_i s_i              ∂V/∂x_i = -v_i t_i²              ∂t_j/∂x_i = v_i P_ji t_i.
 
-Nodes are summed as in F. The few second derivatives by φ are differences of the exact gradient.
+Nodes are summed as in F.
 """
 
 from __future__ import annotations
@@ -19,11 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .derivatives import Points, dense_inverse, evaluate
+from .derivatives import Points, dense_inverse
 from .likelihood import ObservationTable, variance
-
-# A negative eigenvalue of the curvature above this is not rounding, relative to the curvature with φ and w fixed.
-NEGATIVE = 1e-3
 
 
 class TablePoint(NamedTuple):
@@ -35,48 +32,19 @@ class TablePoint(NamedTuple):
     phi: np.ndarray  # [5]
     w: np.ndarray  # [R, K]
     theta: np.ndarray  # [size]
-    hyper: tuple[int, ...]  # indices of the hyperparameters φ that are integrated out
+    hyper: list[int]  # indices of the unknown hyperparameters φ
 
 
-class Marginal(NamedTuple):
-    """F of one table at a point, with hyperparameters and log-weights integrated out of its curvature."""
+def information_lost_to_weights(point: TablePoint) -> np.ndarray:
+    """Decrease of F's curvature by θ [size, size] if the log-weights are unknown, by a quadratic approximation.
 
-    curvature: np.ndarray  # by θ [size, size]
-    log_det: float  # of the curvature by what is integrated out
-    nll: float  # F
-
-
-def marginalise_nuisances(point: TablePoint) -> Marginal:
-    """Curvature by θ with the unknown entries of φ and all log-weights integrated out.
-
-    The approximation is quadratic in all of them. The curvature by θ alone is Gauss-Newton. The covariance of the walk
-    is that of the velocities at θ.
+    The covariance of the walk is that of the velocities at θ.
     """
-    table, *values, hyper = point
-    hyper = list(hyper)
-    detected, step = np.asarray(table.detected) > 0, 1e-4
     cross, by_weights = _by_weights(point)
-    r, J, phi, w, theta = (np.repeat(x[None], len(hyper) + 1, axis=0) for x in values)
-    phi[1:] += step * np.eye(phi.shape[1])[hyper]
-    found = evaluate(table, r, J, phi, w, theta)
-    curvature = found.curvature[0]
-    by_both = (found.by_log_w[1:] - found.by_log_w[0])[:, detected] / step
-    by_phi = (found.by_phi[1:] - found.by_phi[0])[:, hyper] / step
-    gradient = found.gradient - found.by_covariance
-    cross = np.concatenate([(gradient[1:] - gradient[0]) / step, cross])
-    nuisances = np.block([[by_phi, by_both], [by_both.T, by_weights]])
-    value, vector = np.linalg.eigh(0.5 * (nuisances + nuisances.T))
+    value, vector = np.linalg.eigh(0.5 * (by_weights + by_weights.T))
     value = np.maximum(value, 1e-8 * value.max())  # smaller ones are rounding
     projected = vector.T @ cross
-    marginal = curvature - (projected / value[:, None]).T @ projected
-    # In units in which each parameter's own curvature is 1: with clean recordings they differ by decades.
-    unit = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
-    ratio, along = np.linalg.eigh(marginal / np.outer(unit, unit))
-    # Without a positive curvature the quadratic approximation fails: φ and w are treated as known.
-    if ratio[0] < -NEGATIVE:
-        return Marginal(curvature, float(np.log(value).sum()), float(found.nll[0]))
-    root = unit[:, None] * along * np.sqrt(np.maximum(ratio, 0.0))
-    return Marginal(root @ root.T, float(np.log(value).sum()), float(found.nll[0]))
+    return (projected / value[:, None]).T @ projected
 
 
 def _by_weights(point: TablePoint) -> tuple[np.ndarray, np.ndarray]:

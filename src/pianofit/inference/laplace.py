@@ -1,10 +1,9 @@
 """Laplace's approximation at every minimum of F, and the mixture of the minima.
 
-At a minimum F is approximated by a quadratic in θ, φ and the log-weights. φ and the log-weights are integrated out with
-it. The excess σ of every table is integrated over nodes (excess.py), because its value at the minimum lacks the degrees
-of freedom. The posterior weight of a minimum is its density times its volume,
+At a minimum F is approximated by a quadratic in θ for every φ, and φ is integrated over (hyperparameters.py). The
+posterior weight of a minimum is its density times its volume,
 
-    weight ∝ ∫ exp(-F) |H|^(-1/2) d log σ,     H the Hessian of F by (θ, the other φ, log w)
+    weight ∝ ∫ exp(-F + ½ gᵀH⁻¹g) |H|^(-1/2) dφ,     g and H the gradient and curvature of F by θ at the minimum
 
 and a 95 % interval holds 95 % of the mixture. A parameter at a bound is fixed there. Its factor of the volume is that
 of the exponential by which the density falls inward. An `Interval` by profiles or by draws has the same form.
@@ -12,8 +11,7 @@ of the exponential by which the density falls inward. An `Interval` by profiles 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -21,12 +19,15 @@ import numpy as np
 from scipy.special import erfcx, ndtr
 
 from ..conversions import HALF_WIDTH_95
-from .curvature import TablePoint
-from .excess import NEGLIGIBLE, ExcessNodes, excess_nodes
-from .objective import HYPER_REACH, Candidates, Objective
+from .curvature import TablePoint, information_lost_to_weights
+from .hyperparameters import Quadratic, draw_hyperparameters
+from .objective import Candidates, Objective
 
-# Indices of the unknown hyperparameters φ besides σ, of the tables of levels, frequencies and decays.
-HYPER = ((1, 2, 3, 4), (1, 2), (1, 2))
+# Indices of the unknown hyperparameters φ of the tables of levels, frequencies and decays.
+HYPER = ([0, 1, 2, 3, 4], [0, 1, 2], [0, 1, 2])
+# Largest share of the information about a combination of parameters that unknown weights take: more is the effect of an
+# outlier, for which the quadratic approximation fails.
+LARGEST_LOSS = 0.75
 # Bisections of the ends of an interval: the last is within 1e-15 of the whole range of the search.
 BISECTIONS = 50
 # Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
@@ -156,11 +157,10 @@ def laplace(objective: Objective, minima: Minima) -> tuple[Minima, Posterior]:
     minima are lobes of the pulse's spectrum. There a few levels can agree to a tenth of a dB at a wrong velocity.
     """
     mean = objective.problem.parametrisation.log_values(minima.candidates.theta)
-    gradient = objective.gradient(minima.candidates)
     found: dict[int, tuple[float, np.ndarray]] = {}
     for i in np.argsort(minima.nll, kind="stable").tolist():
         if all(_distance(mean[i] - mean[j], covariance) > SAME for j, (_, covariance) in found.items()):
-            found[i] = _at_minimum(objective, minima.candidates, i, gradient[i])
+            found[i] = _at_minimum(objective, minima.candidates, i)
     kept, score = np.array([*found]), np.array([log_weight for log_weight, _ in found.values()])
     weight = np.exp(score - score.max())
     order = np.argsort(-weight, kind="stable")
@@ -174,46 +174,48 @@ def _distance(change: np.ndarray, covariance: np.ndarray) -> float:
     return float((np.abs(change) / np.where(sd > 0, sd, np.inf)).max())
 
 
-def _at_minimum(objective: Objective, candidates: Candidates, i: int, gradient: np.ndarray) -> tuple[float, np.ndarray]:
-    """Logarithm of the posterior mass at a minimum, and the covariance of the logarithms of values [size, size]."""
+def _at_minimum(objective: Objective, candidates: Candidates, i: int) -> tuple[float, np.ndarray]:
+    """Logarithm of the posterior mass at a minimum, and the covariance of the logarithms of values [size, size].
+
+    The covariance is about the minimum, so a shift of θ with φ widens it.
+    """
     u, theta = objective.problem.parametrisation, candidates.theta[i]
     bound = u.at_bound(theta)
     free, at_bound = np.flatnonzero(objective.free & ~bound), np.flatnonzero(objective.free & bound)
     along = u.bound_jacobian(theta[None], bound[None])[0]
-    slope = along.T @ gradient
-    nodes, prior = _nodes(objective, candidates, i, along, free)
-    masses, total = [], np.zeros((u.size, u.size))
-    for node in itertools.product(*(range(len(own.log_density)) for own in nodes)):
-        if sum(own.score[n] for own, n in zip(nodes, node, strict=True)) < -NEGLIGIBLE:
-            continue
-        precision = prior + sum(own.curvature[n] for own, n in zip(nodes, node, strict=True))
-        inverse, log_det = _inverse(along.T @ precision @ along, free, at_bound, slope)
-        masses.append(sum(own.log_density[n] for own, n in zip(nodes, node, strict=True)) - 0.5 * log_det)
-        # The mean over nodes so far.
-        share = np.exp(masses[-1] - np.logaddexp.reduce(masses))
-        total += share * (inverse - total)
+    points = [
+        TablePoint(term.table, part.residual[i], part.jacobian[i], part.phi[i], part.w[i], theta, hyper)
+        for term, part, hyper in zip(objective.terms, candidates.parts, HYPER[-len(candidates.parts) :], strict=True)
+    ]
+    here = objective.curvature(candidates.take(np.array([i])))[0]
+    F, negative_log_proposal = draw_hyperparameters(points, Quadratic(*objective.prior(theta[None])), along[:, free])
+    log_weight, covariances = negative_log_proposal - F.value, []
+    for n, (gradient, curvature) in enumerate(zip(*F.along(along), strict=True)):
+        covariance, log_det = _inverse(curvature, free, at_bound, gradient)
+        shift = covariance @ gradient
+        log_weight[n] += 0.5 * (gradient @ shift - log_det)
+        covariances.append(covariance + np.outer(shift, shift))
+    weight = np.exp(log_weight - log_weight.max())
+    # A draw in the tail of the proposal must not count alone (Ionides 2008, J. Comput. Graph. Stat. 17).
+    weight = np.minimum(weight, weight.mean() * np.sqrt(len(weight)))
+    total = np.tensordot(weight / weight.sum(), np.array(covariances), 1)
+    total += _by_unknown_weights(points, here, along[:, free], free)
     tangent = u.tangent(theta) @ along
     covariance = tangent @ total @ tangent.T
-    F_prior = float(objective.prior(theta[None])[0][0])
-    return float(np.logaddexp.reduce(masses)) - F_prior, 0.5 * (covariance + covariance.T)  # symmetric to the last bit
+    log_mass = float(np.log(weight.mean()) + log_weight.max())
+    return log_mass, 0.5 * (covariance + covariance.T)  # symmetric to the last bit
 
 
-def _nodes(
-    objective: Objective, candidates: Candidates, i: int, along: np.ndarray, free: np.ndarray
-) -> tuple[list[ExcessNodes], np.ndarray]:
-    """Nodes of σ of every table at a minimum, and the precision of the prior [size, size]."""
-    prior = objective.prior(candidates.theta[i : i + 1])[2][0]
-    points = [
-        TablePoint(term.table, part.residual[i], part.jacobian[i], part.phi[i], part.w[i], candidates.theta[i], others)
-        for term, part, others in zip(objective.terms, candidates.parts, HYPER, strict=True)
-    ]
-    curvatures = [part.derivatives.curvature[i] for part in candidates.parts]
-
-    def log_det_of(table: int) -> Callable[[np.ndarray], float]:
-        rest = prior + sum(curvature for n, curvature in enumerate(curvatures) if n != table)
-        return lambda own: float(np.linalg.slogdet((along.T @ (rest + own) @ along)[np.ix_(free, free)])[1])
-
-    return [excess_nodes(point, log_det_of(n), HYPER_REACH) for n, point in enumerate(points)], prior
+def _by_unknown_weights(
+    points: Sequence[TablePoint], curvature: np.ndarray, axes: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """Increase of the covariance of θ [size, size] if the log-weights of partials are unknown, at the minimum of F."""
+    root = np.linalg.inv(np.linalg.cholesky(axes.T @ curvature @ axes))
+    share, vector = np.linalg.eigh(root @ axes.T @ sum(map(information_lost_to_weights, points)) @ axes @ root.T)
+    share = np.minimum(share, LARGEST_LOSS)
+    increase, along = np.zeros(curvature.shape), root.T @ vector
+    increase[np.ix_(free, free)] = (along * (share / (1 - share))) @ along.T
+    return increase
 
 
 def _inverse(

@@ -227,7 +227,7 @@ def random_start(at: DensityContext, key, spread: float) -> Point:
     """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
         jnp.zeros(at.root.shape[1]),
-        tuple(jnp.zeros(1 + len(others)) for others in HYPER),
+        tuple(jnp.zeros(len(own)) for own in HYPER),
         tuple(jnp.zeros(len(x)) for x in at.detected),
     )
     leaves, tree = jax.tree.flatten(zero)
