@@ -34,11 +34,16 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
 
 
-def number(value: Any, digits: int = 4) -> str:
-    """Return `value` with up to `digits` significant digits: 0.12, 304.1, 1.099 × 10¹⁰."""
+def number(value: Any, digits: int = 4, *, with_power: bool = False) -> str:
+    """Return `value` with up to `digits` significant digits: 0.12, 304.1, 1.099 × 10¹⁰.
+
+    Parameters
+    ----------
+    with_power : write a power of ten where the value does not need one.
+    """
     if not is_number(value):
         return "–"
-    power, decimals = _scale(value, digits)
+    power, decimals = _scale(value, digits, with_power)
     text = _fixed(value, power, decimals)
     return (text.rstrip("0").rstrip(".") if "." in text else text) + _times(power)
 
@@ -49,7 +54,8 @@ def with_interval(value: Any, interval: Any) -> tuple[str, str]:
         return number(value), ""
     digits = _supported(value, interval)
     if digits is None:
-        return number(value), f"{number(interval[0], 3)} to {number(interval[1], 3)}"
+        with_power = any(end and _needs_power(end) for end in interval)
+        return number(value), " to ".join(number(end, 3, with_power=with_power) for end in interval)
     power, decimals = _scale(value, digits)
     ends = " to ".join(_fixed(end, power, decimals) for end in interval)
     return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
@@ -170,10 +176,10 @@ def _to_place(value: float, place: int, like: float) -> str:
     return f"{text}e{power:+03d}" if power else text
 
 
-def _scale(value: float, digits: int) -> tuple[int, int]:
+def _scale(value: float, digits: int, with_power: bool = False) -> tuple[int, int]:
     """Return the power of ten to factor out, and the decimals, for `digits` significant digits of `value`."""
     exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
-    power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER else exponent
+    power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER and not with_power else exponent
     return power, max(0, digits - 1 - exponent + power)
 
 
