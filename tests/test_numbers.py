@@ -78,7 +78,8 @@ def test_standard_errors_for_a_terminal(value, error, texts):
 
 @pytest.mark.parametrize(
     ("interval", "text"),
-    [((917819.0, 9.07e9), "9.18 × 10⁵ to 9.07 × 10⁹"), ((0.2, 4e9), "2 × 10⁻¹ to 4 × 10⁹"), ((2.0, 2500.0), "2 to 2500")],
+    [((917819.0, 9.07e9), "9.18 × 10⁵ to 9.07 × 10⁹"), ((0.2, 4e9), "2 × 10⁻¹ to 4 × 10⁹"),
+     ((2.0, 2500.0), "2 to 2500")],
 )  # fmt: skip
 def test_both_ends_of_a_wide_interval_have_a_power_of_ten_or_neither(interval, text):
     assert with_interval(interval[0] * 30, interval)[1].replace("\u00a0", " ") == text
