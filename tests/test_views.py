@@ -163,8 +163,8 @@ def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
     branch = profile.trace_branch(i, 1.0)
     assert branch.open
     assert branch.end == bound
-    # A half with a known excess. The standard deviation integrates the excess, which a profile minimises.
-    assert 0.45 < branch.points[-1].F - profile.start.F < 1.0
+    # A half with known hyperparameters. The standard deviation integrates them, and a profile minimises by them.
+    assert 0.45 < branch.points[-1].F - profile.start.F < 1.4
     assert not profile.trace_branch(i, -1.0).open
 
 
@@ -175,7 +175,7 @@ def test_where_k_h_is_held_the_force_follows_p():
     point = profile._fixed(FORCE, x[FORCE] + cov[FORCE, FORCE] ** 0.5, profile.start, x)
     assert point.logs[FORCE] == pytest.approx(x[FORCE] + cov[FORCE, FORCE] ** 0.5, abs=1e-9)
     assert point.logs[P] - x[P] == pytest.approx(cov[FORCE, P] / cov[FORCE, FORCE] ** 0.5, rel=0.1)
-    assert 0.45 < point.F - profile.start.F < 1.0  # as above
+    assert 0.45 < point.F - profile.start.F < 1.4  # as above
 
 
 @pytest.mark.slow

@@ -57,8 +57,6 @@ SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 TRIAL = 6
 # before it must be within `NEAR` of the best to continue, and how many of a round do.
 GOING = 2
-# Minima closer than this in every parameter, in the prior's standard deviations, are the same.
-SAME = 0.02
 # θ [points, size] from the best candidate and the surrogate there.
 RestartPoints = Callable[[Candidates, QuadraticSurrogate], np.ndarray]
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
@@ -144,7 +142,8 @@ def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candida
 def _survivors(objective: Objective, candidates: Candidates, within: float = np.inf) -> Candidates:
     """The lowest candidates after merging; with a limit `within`, those of the largest posterior mass."""
     scores = objective.total(candidates) if np.isinf(within) else objective.negative_log_mass(candidates)
-    distinct = deduplicate(candidates, objective.problem.parametrisation, scores, within, MERGE_DISTANCE)
+    u = objective.problem.parametrisation
+    distinct = deduplicate(candidates, u.free, scores, within, MERGE_DISTANCE * u.sd)
     return candidates.take(np.array(distinct[:SECOND], int))
 
 
@@ -212,18 +211,21 @@ def _restarted(objective: Objective, candidates: Candidates, points: RestartPoin
     return candidates.take(np.argsort(objective.total(candidates), kind="stable"))
 
 
-def deduplicate(
-    candidates: Candidates, unknowns: Parametrisation, scores: np.ndarray, within: float, apart: float = SAME
-) -> list[int]:
-    """Indices of candidates at least `apart` from all lower ones and within `within` of the lowest; lowest first."""
+def deduplicate(candidates: Candidates, free: np.ndarray, scores: np.ndarray, within: float, width: np.ndarray) -> list:
+    """Indices of candidates that differ from all lower ones and lie within `within` of the lowest; lowest first.
+
+    Parameters
+    ----------
+    free : mask of the parameters that are compared [size].
+    width : the largest difference of two that are the same, of each parameter, [size] or by the lower one [B, size].
+    """
     chosen: list[int] = []
-    free, theta, sd = unknowns.free, candidates.theta, unknowns.sd.clip(1e-12)
-    for i in np.argsort(scores, kind="stable"):
+    theta, width = candidates.theta, np.broadcast_to(width, candidates.theta.shape).clip(1e-12)
+    for i in np.argsort(scores, kind="stable").tolist():
         if scores[i] > scores.min() + within:
             break
-        distances = [np.abs((theta[i] - theta[j]) / sd)[free].max() for j in chosen]
-        if not distances or min(distances) >= apart:
-            chosen.append(int(i))
+        if all((np.abs(theta[i] - theta[j]) / width[j])[free].max() >= 1.0 for j in chosen):
+            chosen.append(i)
     return chosen
 
 

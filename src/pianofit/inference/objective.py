@@ -328,6 +328,13 @@ class Objective:
         curvature = self.curvature(candidates)[:, free][:, :, free]
         return self.total(candidates) + 0.5 * np.linalg.slogdet(curvature)[1]
 
+    def widths(self, candidates: Candidates) -> np.ndarray:
+        """Standard deviations of θ about each candidate by F's curvature, 0 for fixed parameters [B, size]."""
+        free, widths = np.flatnonzero(self.free), np.zeros(candidates.theta.shape)
+        inverse = np.linalg.inv(self.curvature(candidates)[:, free][:, :, free])
+        widths[:, free] = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+        return widths
+
     def gradient(self, candidates: Candidates) -> np.ndarray:
         """F's gradient by θ [B, size]."""
         return self.prior(candidates.theta)[1] + sum(part.derivatives.gradient for part in candidates.parts)

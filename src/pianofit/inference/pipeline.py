@@ -32,7 +32,7 @@ MAX_LOG_MASS_GAP = 6.0
 # A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
 MAX_DECREASE = 1.0
 # Maximum number of minima that are refined.
-MAX_MINIMA = 6
+MAX_MINIMA = 12
 # A refinement ends when the discretisation error at its end differs from the one that it used by less than this
 # fraction of the levels' standard deviations, rms.
 MAX_OFFSET_CHANGE = 0.05
@@ -209,7 +209,7 @@ def map_estimate(
     else:
         candidates = from_starts(levels, np.array(given), budget)
     progress("string and hammer", 0.75)
-    minima = refine_minima(complete, candidates, levels.negative_log_mass(candidates), string, budget or ITERATIONS)
+    minima = refine_minima(complete, levels, candidates, string, budget or ITERATIONS)
     progress("intervals", 0.88)
     strokes = levels.level_model.strokes_computed + complete.level_model.strokes_computed
     return Estimate(*laplace(complete, minima), strokes)
@@ -260,24 +260,29 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
 
 
 def refine_minima(
-    objective: Objective, candidates: Candidates, scores: np.ndarray, string: Candidates, steps: int
+    objective: Objective, levels: Objective, candidates: Candidates, string: Candidates, steps: int
 ) -> Minima:
     """Refine every distinct minimum of a posterior mass near the largest on the complete F.
 
     Parameters
     ----------
-    candidates, scores : minima with a fixed string, and minus the logarithms of their posterior masses.
+    levels : F of the levels with a fixed string, of which the candidates are minima.
     string : the string's own minimum.
     steps : maximum number of steps of each minimisation.
 
     Raises `FitError` if no contact ends.
     """
-    u = objective.problem.parametrisation
-    near = candidates.take(np.array(deduplicate(candidates, u, scores, MAX_LOG_MASS_GAP)[:MAX_MINIMA]))
+    free = objective.problem.parametrisation.free
+
+    def distinct(of: Objective, minima: Candidates) -> np.ndarray:
+        """Indices of minima that do not lie within a standard deviation of one with a larger mass."""
+        scores, widths = of.negative_log_mass(minima), of.widths(minima)
+        return np.array(deduplicate(minima, free, scores, MAX_LOG_MASS_GAP, widths))
+
+    near = candidates.take(distinct(levels, candidates)[:MAX_MINIMA])
     minima = refine(objective, near.theta, near.phi + string.phi, near.w + string.w, steps)
     # Two distinct starts can end in the same minimum: it counts once.
-    mass = objective.negative_log_mass(minima.candidates)
-    return minima.take(np.array(deduplicate(minima.candidates, u, mass, MAX_LOG_MASS_GAP)))
+    return minima.take(distinct(objective, minima.candidates))
 
 
 def refine(
