@@ -106,3 +106,13 @@ def _at_node(
     both += (mills[:, None] * 0.5 * V).T @ z_theta
     both += (bend[:, None] * z_x).T @ z_theta
     return gradient - mills @ z_theta, slope - mills @ z_x, cross + both, hessian + second
+
+
+def inverse_curvature(curvature: np.ndarray) -> np.ndarray:
+    """Inverses of curvatures by θ [..., n, n], in units in which each parameter's own curvature is 1.
+
+    With clean recordings the curvatures of two parameters differ by decades.
+    """
+    unit = 1 / np.sqrt(np.diagonal(curvature, axis1=-2, axis2=-1))
+    scale = unit[..., :, None] * unit[..., None, :]
+    return np.linalg.inv(curvature * scale) * scale

@@ -23,7 +23,7 @@ from scipy.linalg import block_diag
 from scipy.special import gammaincinv, ndtri
 
 from ..sobol import sobol_points
-from .curvature import TablePoint
+from .curvature import TablePoint, inverse_curvature
 from .derivatives import Evaluation, evaluate
 from .likelihood import em_weights
 
@@ -112,7 +112,7 @@ def _slope_and_precision(
         tables.append((found, point.hyper))
         here.append(Evaluation._make(x[:1] for x in found))
     gradient, curvature = (x[0] for x in _total(prior, here).along(axes))
-    inverse = np.linalg.inv(curvature)
+    inverse = inverse_curvature(curvature)
     shift = -inverse @ gradient
     slopes, rows, blocks = [], [], []
     for found, own in tables:

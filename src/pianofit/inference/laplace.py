@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import erfcx, ndtr
 
 from ..conversions import HALF_WIDTH_95
-from .curvature import TablePoint, information_lost_to_weights
+from .curvature import TablePoint, information_lost_to_weights, inverse_curvature
 from .hyperparameters import Quadratic, draw_hyperparameters
 from .objective import Candidates, Objective
 
@@ -223,8 +223,7 @@ def _inverse(
 ) -> tuple[np.ndarray, float]:
     """Covariance of θ [size, size], 0 for fixed parameters, and log|H| with the factors of parameters at a bound."""
     covariance, inner = np.zeros(precision.shape), precision[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.diag(inner))
-    covariance[np.ix_(free, free)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
+    covariance[np.ix_(free, free)] = inverse_curvature(inner)
     log_det = float(np.linalg.slogdet(inner)[1])
     for k in at_bound:
         across = precision[k, k] - precision[k] @ covariance @ precision[k]

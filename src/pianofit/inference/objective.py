@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from .batched_model import LevelModel, Residuals, StringModel, thread_pool
+from .curvature import inverse_curvature
 from .derivatives import Evaluation, dense_inverse, evaluate
 from .likelihood import ObservationTable, em_weights, node_weights, solve_nodes
 from .parametrisation import STRING_SIZE
@@ -331,7 +332,7 @@ class Objective:
     def widths(self, candidates: Candidates) -> np.ndarray:
         """Standard deviations of θ about each candidate by F's curvature, 0 for fixed parameters [B, size]."""
         free, widths = np.flatnonzero(self.free), np.zeros(candidates.theta.shape)
-        inverse = np.linalg.inv(self.curvature(candidates)[:, free][:, :, free])
+        inverse = inverse_curvature(self.curvature(candidates)[:, free][:, :, free])
         widths[:, free] = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         return widths
 
