@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,6 +39,10 @@ MAX_MINIMA = 12
 MAX_OFFSET_CHANGE = 0.05
 # Steps of a minimisation.
 ITERATIONS = 25
+# Initial log σ and log A of frequencies and decays, in standard deviations of the prior from its median,
+STRING_STARTS = tuple(itertools.product((-2.0, -1.0, 0.0), (-1.0, 0.0, 1.0)))
+# and maximum number of steps from each: they compute no contact.
+STRING_STEPS = 100
 METHODS = ("laplace", "profile", "posterior")
 
 
@@ -216,12 +221,21 @@ def map_estimate(
 
 
 def fit_string(problem: FitProblem) -> Candidates:
-    """Fit c, κ, b1 and b2 to frequencies, decays and the prior alone, before any hammer is known."""
+    """Fit c, κ, b1 and b2 to frequencies, decays and the prior alone, before any hammer is known.
+
+    F has a minimum for each set of partials that Student's t takes for outliers: few if the excess σ is large, more if
+    it is small. They are reached from different σ and sizes A of the smooth deviation. The lowest is kept.
+    """
     objective = Objective.of_string(problem)
-    phi = [np.asarray(term.table.prior[0]) for term in objective.terms]
-    start = objective.start(problem.parametrisation.mean[None], phi)
+    phi = []
+    for term in objective.terms:
+        median, sd = (np.asarray(x) for x in term.table.prior)
+        starts = np.tile(median, (len(STRING_STARTS), 1))
+        starts[:, :2] += sd[:2] * np.array(STRING_STARTS)
+        phi.append(starts)
+    start = objective.start(np.tile(problem.parametrisation.mean, (len(STRING_STARTS), 1)), phi)
     # Strings of clean recordings are determined to 1e-8.
-    return minimise(objective, start, Options(40, 1e-6))
+    return minimise(objective, start, Options(STRING_STEPS, 1e-6)).take(np.array([0]))
 
 
 def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
