@@ -3,6 +3,8 @@
     python benchmarks/subsets_study.py                         every key with four layers or more, two left out
     python benchmarks/subsets_study.py --laws hunt-crossley,soft-skin --notes C4,Ds1 --seeds 0,1,2
 
+Subsets are fitted with the first seed, and all layers with every seed.
+
 The recordings are those of `crossval.py`. Every subset without two of a key's layers is fitted. A parameter of a subset
 agrees if its 95 % interval overlaps that of all layers. The data of a subset are part of all data. Given the subset,
 the posterior mean m of a parameter therefore is a martingale, and by the law of total variance
@@ -62,6 +64,7 @@ class Job(NamedTuple):
     setup: Setup
     law: str
     seed: int
+    subsets: bool  # fit them too
 
 
 def values(fit: InferenceResult, names: list[str], of: list[str]) -> dict[str, Value]:
@@ -107,7 +110,8 @@ def study(job: Job) -> dict[str, Any]:
 
     everything, of = fitted(tuple(range(len(recordings))))
     rows = []
-    for which in itertools.combinations(range(len(recordings)), len(recordings) - LEFT_OUT):
+    subsets = itertools.combinations(range(len(recordings)), len(recordings) - LEFT_OUT)
+    for which in subsets if job.subsets else ():
         some, names = fitted(which)
         for name, one in values(some, names, names).items():
             whole = values(everything, names, of).get(name)
@@ -141,7 +145,7 @@ def table(results: list[dict[str, Any]], law: str) -> str:
     return "\n".join(lines)
 
 
-def seeds(results: list[dict[str, Any]], law: str) -> str:
+def agreement_of_seeds(results: list[dict[str, Any]], law: str) -> str:
     """How many parameters of all layers have overlapping intervals from every pair of seeds."""
     by_key: dict[str, list[dict]] = {}
     for result in results:
@@ -168,12 +172,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     wanted, laws = [n for n in options.notes.split(",") if n], options.laws.split(",")
+    seeds = options.seeds.split(",")
     jobs = [
-        Job(key, *note, law, int(seed))
+        Job(key, *note, law, int(seed), seed == seeds[0])
         for law in laws
         for folder in folders()
         for key, note in notes(folder).items()
-        for seed in options.seeds.split(",")
+        for seed in seeds
         if len(note[1]) >= FEWEST_LAYERS and (not wanted or any(w in key for w in wanted))
     ]
     results = []
@@ -181,13 +186,15 @@ def main() -> None:
         for result in pool.map(study, jobs):
             results.append(result)
             rows = result["rows"]
+            if not rows:
+                continue
             apart = sorted({row["parameter"] for row in rows if not row["overlap"]})
             share = 100 * np.mean([row["overlap"] for row in rows])
             print(f"{result['key']:18} {result['law']:14} seed {result['seed']}: {share:.0f} %", *apart, flush=True)
     for law in laws:
         print(table(results, law))
-        if "," in options.seeds:
-            print(seeds(results, law))
+        if len(seeds) > 1:
+            print(agreement_of_seeds(results, law))
     if options.json:
         options.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
 
