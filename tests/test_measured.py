@@ -102,7 +102,7 @@ def test_a_scale_moves_the_velocity_and_leaves_what_has_no_unit():
 def test_a_velocity_with_an_sd_gives_a_posterior_between_the_measurement_and_the_recording():
     free = build_result(calibrated()).parameters.v_H0
     sd = float(free.sd)
-    given = free.value + 3 * sd
+    given = free.value + 1.5 * sd  # with more, φ is uncertain whether the levels are that wrong
     found = build_result(calibrated(fixed=(("v_H0", Measured(given, sd)),))).parameters.v_H0
     assert found.status == "given"
     # Two Gaussians of one width have their mean in the middle, and their width over the root of 2.
