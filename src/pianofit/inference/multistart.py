@@ -211,7 +211,9 @@ def _restarted(objective: Objective, candidates: Candidates, points: RestartPoin
     return candidates.take(np.argsort(objective.total(candidates), kind="stable"))
 
 
-def deduplicate(candidates: Candidates, free: np.ndarray, scores: np.ndarray, within: float, width: np.ndarray) -> list:
+def deduplicate(
+    candidates: Candidates, free: np.ndarray, scores: np.ndarray, within: float, width: np.ndarray
+) -> list[int]:
     """Indices of candidates that differ from all lower ones and lie within `within` of the lowest; lowest first.
 
     Parameters

@@ -32,7 +32,7 @@ from .profile import profiles
 MAX_LOG_MASS_GAP = 6.0
 # A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
 MAX_DECREASE = 1.0
-# Maximum number of minima that are refined.
+# Maximum number of minima that are refined, a limit of time.
 MAX_MINIMA = 12
 # A refinement ends when the discretisation error at its end differs from the one that it used by less than this
 # fraction of the levels' standard deviations, rms.
