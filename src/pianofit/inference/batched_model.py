@@ -253,21 +253,21 @@ class LevelModel:
         return rows.reshape(-1, len(self.cents), *rows.shape[1:])[:, self.stroke][:, :, self.columns]
 
 
-def compile_ahead(searched: LevelModel, complete: LevelModel, theta: np.ndarray) -> None:
+def compile_ahead(problem: FitProblem) -> None:
     """Compile or load the programs of a search in the background, in the order in which it needs them.
 
-    XLA compiles on one core. A search that is the first to need a program waits for it.
-
-    Parameters
-    ----------
-    searched, complete : the model with a fixed string, and that with a string of its own for each θ.
-    theta : any θ [1, size].
+    XLA compiles on one core. A search that is the first to need a program waits for it. The string's fit, which needs
+    none, runs in the meantime.
     """
 
     def run() -> None:
-        for evaluate in (searched.level_jacobians, searched.discretisation_error_db, complete.level_jacobians):
+        theta = problem.parametrisation.mean[None]
+        searched, complete = LevelModel(problem, theta[0, :STRING_SIZE]), LevelModel(problem)
+        prescreen = functools.partial(searched.levels, searched.stroke_entries(theta))
+        programs = searched.level_jacobians, searched.discretisation_error_db, complete.level_jacobians
+        for evaluate in (prescreen, *(functools.partial(program, theta) for program in programs)):
             with contextlib.suppress(Exception):  # the search meets the same error, and reports it
-                evaluate(theta)
+                evaluate()
 
     if cores() > 1:
         threading.Thread(target=run).start()

@@ -203,12 +203,13 @@ def map_estimate(
         If no hammer gives a finite sound.
     """
     progress("string", 0.05)
+    complete = Objective.complete(problem)
+    compile_ahead(problem)
     string = fit_string(problem)
     progress("hammer", 0.15)
-    levels, complete = Objective.of_levels(problem, string.theta[0, :STRING_SIZE]), Objective.complete(problem)
+    levels = Objective.of_levels(problem, string.theta[0, :STRING_SIZE])
     first = initial_point(problem, string.theta[0, :STRING_SIZE])
     given = [starting_point(problem, first, start) for start in starts]
-    compile_ahead(levels.level_model, complete.level_model, first[None])
     if budget is None:
         candidates = multistart(levels, seed, np.array([first, *given]), progress)
     else:
