@@ -217,7 +217,7 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
 def _extras() -> bytes:
     """An extras.json with a damper, a release noise and a noise floor."""
     from pianofit.schema.decode import builtins_of
-    from pianofit.schema.extras import DamperEntry, KeyExtras, NoiseEntry, SoundEntry
+    from pianofit.schema.extras import DamperEntry, KeyExtras, NoiseFloor, SoundEntry
 
     row = np.array([100.0, 1000.0])
     damper = DamperEntry(
@@ -225,7 +225,7 @@ def _extras() -> bytes:
         frequency=row, rate=0.1 * row, rate_error=0.01 * row,
     )  # fmt: skip
     release = SoundEntry.of(np.full((1, 64), 0.1), 8_000)
-    extras = KeyExtras(midi=60, dampers=(damper,), releases=(release,), noise=NoiseEntry(row, (1e-12 * row,)))
+    extras = KeyExtras(midi=60, dampers=(damper,), releases=(release,), noise=NoiseFloor(row, (1e-12 * row,)))
     return json.dumps(builtins_of(extras)).encode()
 
 

@@ -13,7 +13,7 @@ from ..analysis.note_names import note_to_midi
 from ..analysis.release import release_sound
 from ..errors import PianofitError
 from ..recording.recording import Recording, load_recording
-from ..schema.extras import DamperEntry, KeyExtras, NoiseEntry, SoundEntry
+from ..schema.extras import DamperEntry, KeyExtras, NoiseFloor, SoundEntry
 from .manifest import Role
 
 
@@ -60,10 +60,10 @@ def _damper(recording: Recording, note: str, path: str) -> DamperEntry:
     )
 
 
-def _noise(densities: list[np.ndarray]) -> NoiseEntry | None:
+def _noise(densities: list[np.ndarray]) -> NoiseFloor | None:
     """The median over the recordings; of their mean channel if they differ in channels."""
     if not densities:
         return None
     same = len({len(density) for density in densities}) == 1
     rows = [density if same else density.mean(axis=0, keepdims=True) for density in densities]
-    return NoiseEntry(FREQUENCIES, tuple(np.median(rows, axis=0)))
+    return NoiseFloor(FREQUENCIES, tuple(np.median(rows, axis=0)))

@@ -40,7 +40,7 @@ from .key_quantities import (
 from .keyboard_posterior import KeyboardPosterior, keyboard_posterior
 from .measured_fields import KeyFields, PathField, measure_fields, measure_path
 from .noise_floor import noise_floor
-from .release_noise import recorded_releases, release_noise
+from .release_noise import release_noise
 from .velocity_curve import fit_velocity_curve, velocity_warnings
 
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
@@ -117,8 +117,7 @@ def build_instrument(
         damper_law(extras),
         bridge=measure_bridge((key.midi, key.note) for key in keys),
     )
-    release = release_noise(recorded_releases(extras), built.channels)
-    return replace(built, release=release, noise=noise_floor(extras, built.channels))
+    return replace(built, release=release_noise(extras, built.channels), noise=noise_floor(extras, built.channels))
 
 
 def reference_values(keys: Sequence[KeyFit], at: Sequence[int]) -> np.ndarray:

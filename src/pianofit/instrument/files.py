@@ -6,8 +6,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError, check_range
 from ..excitation import OTHERS
@@ -33,7 +31,6 @@ from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, instrument_title, load_extras, load_keys
 from .guessed_keys import missing_laws, with_guessed_responses
 from .instrument import Instrument, Key
-from .noise_floor import NoiseFloor, noise_entry
 from .release_noise import ReleaseNoise, release_entries
 
 
@@ -89,7 +86,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
         record.even,
         record.dampers,
         _release(record, name),
-        None if record.noise is None else NoiseFloor(record.noise.frequency, np.array(record.noise.density)),
+        record.noise,
         record.bridge,
     )
 
@@ -150,7 +147,7 @@ def instrument_record(instrument: Instrument) -> InstrumentFile:
         bridge=instrument.bridge,
         dampers=instrument.dampers,
         releases=release_entries(instrument.release),
-        noise=noise_entry(instrument.noise),
+        noise=instrument.noise,
         versions=package_versions(),
     )
 

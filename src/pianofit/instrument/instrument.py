@@ -16,8 +16,8 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.bridge import BridgeAdmittance
 from ..schema.dampers import LAST_DAMPER, Dampers
+from ..schema.extras import NoiseFloor
 from ..schema.instrument import FitSummary, KeyboardLaw, KeyState, KeyValue, VelocityCurve
-from .noise_floor import NoiseFloor
 from .release_noise import ReleaseNoise
 
 # States of a key, and what they mean.

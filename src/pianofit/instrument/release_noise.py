@@ -65,21 +65,24 @@ class ReleaseNoise:
         return gain * resample(self.sounds[self.source(midi)], self.rate, rate)
 
 
-def release_noise(sounds: Mapping[int, Sequence[tuple[np.ndarray, int]]], channels: int) -> ReleaseNoise | None:
-    """Return the noise of these keys: for each the recording of median energy, at one rate and in `channels`.
+def release_noise(extras: Sequence[KeyExtras], channels: int) -> ReleaseNoise | None:
+    """Return the noise of the keys whose release was recorded: the recording of median energy, all at one rate.
 
     Parameters
     ----------
-    sounds : noises [channels, samples] and their rates, Hz, by MIDI number.
     channels : number of channels of the instrument. All noises become mono if one has another number.
     """
+    sounds: dict[int, list[tuple[np.ndarray, int]]] = {}
+    for key in extras:
+        for i, entry in enumerate(key.releases):
+            sounds.setdefault(key.midi, []).append(entry.samples(f"key {key.midi}: releases[{i}]"))
     if not sounds:
         return None
-    chosen = {midi: sorted(takes, key=_energy)[len(takes) // 2] for midi, takes in sounds.items()}
+    chosen = {midi: sorted(takes, key=_energy)[len(takes) // 2] for midi, takes in sorted(sounds.items())}
     rate = max(old for _, old in chosen.values())
     same = all(len(samples) == channels for samples, _ in chosen.values())
-    mixed = {midi: x if same else x.mean(axis=0, keepdims=True) for midi, (x, _) in chosen.items()}
-    return ReleaseNoise({midi: resample(mixed[midi], old, rate) for midi, (_, old) in sorted(chosen.items())}, rate)
+    mixed = {midi: (x if same else x.mean(axis=0, keepdims=True), old) for midi, (x, old) in chosen.items()}
+    return ReleaseNoise({midi: resample(x, old, rate) for midi, (x, old) in mixed.items()}, rate)
 
 
 def _energy(take: tuple[np.ndarray, int]) -> float:
@@ -87,16 +90,8 @@ def _energy(take: tuple[np.ndarray, int]) -> float:
     return float(np.sum(samples**2)) / rate / len(samples)
 
 
-def recorded_releases(extras: Sequence[KeyExtras]) -> dict[int, list[tuple[np.ndarray, int]]]:
-    """Return the recorded noises and their rates by key."""
-    sounds: dict[int, list[tuple[np.ndarray, int]]] = {}
-    for key in extras:
-        for i, entry in enumerate(key.releases):
-            sounds.setdefault(key.midi, []).append(entry.samples(f"key {key.midi}: releases[{i}]"))
-    return sounds
-
-
 def release_entries(release: ReleaseNoise | None) -> tuple[ReleaseEntry, ...]:
     """Return the entries of an `instrument.json`."""
-    sounds = {} if release is None else release.sounds
-    return tuple(ReleaseEntry(midi, SoundEntry.of(x, release.rate)) for midi, x in sounds.items() if release)
+    if release is None:
+        return ()
+    return tuple(ReleaseEntry(midi, SoundEntry.of(x, release.rate)) for midi, x in release.sounds.items())

@@ -25,6 +25,8 @@ EXTRAS_SCHEMA = 1
 LARGEST_EXTRAS = 2**25
 # Largest number of frequencies of a noise floor.
 MOST_FREQUENCIES = 1000
+# Samples of one block of noise. Blocks overlap by half.
+BLOCK = 2**14
 HINT = "give the folder that pianofit batch wrote"
 KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
 
@@ -81,11 +83,17 @@ class SoundEntry:
 
 
 @dataclass(frozen=True)
-class NoiseEntry:
-    """A noise floor."""
+class NoiseFloor:
+    """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory.
 
-    frequency: np.ndarray  # Hz, ascending [frequencies]
-    density: tuple[np.ndarray, ...]  # file units² per Hz, of each channel [frequencies]
+    Parameters
+    ----------
+    frequency : frequencies, ascending, Hz [frequencies].
+    density : power spectral density of each channel, file units² per Hz [channels][frequencies].
+    """
+
+    frequency: np.ndarray
+    density: tuple[np.ndarray, ...]
 
     def __post_init__(self) -> None:
         shapes = {self.frequency.shape, *(row.shape for row in self.density)}
@@ -95,6 +103,29 @@ class NoiseEntry:
             raise ValueError(f"Expected densities of 0 or more for 1 to {MAX_CHANNELS} channels")
         if not (np.diff(self.frequency, prepend=0.0) > 0).all():
             raise ValueError("Expected frequencies that rise from above 0")
+
+    @property
+    def level_db(self) -> float:
+        """Level of one channel, rms, dB re full scale."""
+        power = np.trapezoid(np.mean(self.density, axis=0), self.frequency)
+        return 10 * float(np.log10(max(power, 1e-30)))
+
+    def sound(self, samples: int, rate: int, seed: int) -> np.ndarray:
+        """Return noise in file units [channels, samples]. The same seed gives the same noise.
+
+        The windows of overlapping blocks of independent noise have a constant sum of squares.
+        """
+        rng, half = np.random.default_rng(seed), BLOCK // 2
+        bins = np.fft.rfftfreq(BLOCK, 1 / rate)
+        spectrum = np.array([np.interp(bins, self.frequency, row, right=0.0) for row in self.density])
+        size = np.sqrt(spectrum * (rate / 2))  # standard deviation of white noise of this density
+        window = np.sin(np.pi * (np.arange(BLOCK) + 0.5) / BLOCK)
+        blocks = -(-samples // half) + 1
+        noise = np.zeros((len(size), (blocks + 1) * half))
+        for block in range(blocks):
+            white = np.fft.rfft(rng.standard_normal((len(size), BLOCK)))
+            noise[:, block * half : block * half + BLOCK] += window * np.fft.irfft(size * white, BLOCK)
+        return noise[:, half : half + samples]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +138,7 @@ class KeyExtras:
     midi: KeyNumber
     dampers: tuple[DamperEntry, ...] = ()
     releases: tuple[SoundEntry, ...] = ()
-    noise: NoiseEntry | None = None
+    noise: NoiseFloor | None = None
 
 
 def read_extras(path: str | os.PathLike[str]) -> KeyExtras:

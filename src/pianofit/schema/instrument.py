@@ -21,7 +21,7 @@ from ..parameters import PARAMETERS
 from .bridge import BridgeAdmittance
 from .dampers import Dampers
 from .decode import MidiVelocity, Number, convert, load_json
-from .extras import KeyNumber, NoiseEntry, SoundEntry
+from .extras import KeyNumber, NoiseFloor, SoundEntry
 from .fit import ExcitationName, PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
@@ -208,7 +208,7 @@ class InstrumentFile:
     bridge: BridgeAdmittance = field(default_factory=BridgeAdmittance)
     dampers: Dampers = field(default_factory=Dampers)
     releases: tuple[ReleaseEntry, ...] = ()  # of recorded keys
-    noise: NoiseEntry | None = None
+    noise: NoiseFloor | None = None
     versions: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -19,7 +19,6 @@ from ..errors import ParameterError
 from ..felt import law_of
 from ..felt.soft_skin import SOFT_SKIN, SoftHammer
 from ..instrument import Instrument
-from ..instrument.noise_floor import noise_entry
 from ..literature import reference_compression, typical_strings
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
@@ -186,8 +185,8 @@ def _encode_sound(sound: np.ndarray, rate: int, encoding: KnockEncoding | None) 
 
 def _noise(instrument: Instrument) -> dict[str, Any] | None:
     """Return the noise floor, which the page does not play but saves."""
-    entry = noise_entry(instrument.noise)
-    return None if entry is None else builtins_of(replace(entry, density=entry.density[:CHANNELS]))
+    noise = instrument.noise
+    return None if noise is None else builtins_of(replace(noise, density=noise.density[:CHANNELS]))
 
 
 def encode_note(
