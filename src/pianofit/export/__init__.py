@@ -1,6 +1,7 @@
 """Export of an instrument to other programs: samplers (SFZ, Decent Sampler) and Faust."""
 
 from .formats import SAMPLERS
-from .sampler import ExportOptions, ExportSummary, export_sampler
+from .sampler import ExportSummary, export_sampler
+from .samples import ExportOptions
 
 __all__ = ["SAMPLERS", "ExportOptions", "ExportSummary", "export_sampler"]

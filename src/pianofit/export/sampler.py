@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
-from ..conversions import DB, hertz_of
+from ..conversions import DB
 from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
 from ..io.audio import RATES
-from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
+from ..io.files import cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import CHANNELS, StringVoice
 from ..threads import one_blas_thread
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
@@ -33,11 +33,10 @@ from .layers import (
     SampledKey,
     SamplerContent,
     key_ranges,
-    layer_velocities,
     played_keys,
     silent_keys,
 )
-from .samples import SILENT_DB, KeySamples, Length, measure_layers, render_resonance_sample, render_sample
+from .samples import ExportOptions, KeySamples, measure_layers, render_resonance_sample, render_sample
 
 # Audio formats of samples.
 KINDS = ("flac", "wav")
@@ -45,7 +44,6 @@ README = "README.txt"
 # File names of samples: key, note, and velocity or kind.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-(v\d{3}(-soft)?|resonance|release)\.(flac|wav)")
 HIGHEST_RATE = 192_000  # Hz, limit of most samplers
-PEAK_LIMIT_DB = 20 * math.log10(PEAK_LIMIT)
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together, about 5 GB
 # Share of the measurement of levels in the progress of an export.
 LEVELS_SHARE = 0.5
@@ -62,25 +60,6 @@ class ExportSummary(NamedTuple):
     bytes: int  # of all samples
     gain_db: float  # of all samples
     silent_keys: list[int]  # MIDI keys without a sample in reach
-
-
-class ExportOptions(NamedTuple):
-    """Number, length and format of the samples."""
-
-    layers: int = 8  # per key
-    seconds: float = 8.0  # largest length of a sample
-    rate: int = 48_000  # Hz
-    kind: str = "flac"
-    blend: str = "curves"  # of layers over velocity: curves, xfade or plain
-    resonance: bool = True  # a sample of the free strings for each key
-    una_corda: bool = False  # layers with the left pedal down
-    peak_db: float = PEAK_LIMIT_DB  # of the loudest sample, dB re full scale
-    trim_db: float = SILENT_DB  # a sample ends this far below its peak, dB
-
-    @property
-    def length(self) -> Length:
-        """Where samples end."""
-        return Length(self.seconds, self.trim_db)
 
 
 @one_blas_thread()
@@ -217,24 +196,6 @@ def _is_export(folder: Path) -> bool:
     )
 
 
-class _Writer:
-    """Writes samples with one gain, and counts them."""
-
-    def __init__(self, work: Path, gain: float, options: ExportOptions) -> None:
-        self.work, self.gain, self.options = work, gain, options
-        self.samples, self.frames, self.bytes = 0, 0, 0
-
-    def write(self, midi: int, ending: str, sound: np.ndarray) -> str:
-        """Write a sound [channels, samples] and return its file, relative to the folder."""
-        name = midi_to_note(midi).replace("#", "s")  # SFZ reads "#" as the start of a directive
-        file = f"samples/{midi:03}-{name}-{ending}.{self.options.kind}"
-        content = encode_pcm(np.clip(self.gain * sound, -1.0, 1.0), self.options.rate, self.options.kind)
-        self.bytes += (self.work / file).write_bytes(content)
-        self.samples += 1
-        self.frames += sound.shape[-1]
-        return file
-
-
 def _write_samples(
     instrument: Instrument,
     work: Path,
@@ -248,16 +209,16 @@ def _write_samples(
     for i, key in enumerate(keys):
         measured.append(_measure(instrument, key, options))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
-    noises = {} if instrument.release is None else _noises(instrument.release, options.rate)
+    release = instrument.release
+    noises = {} if release is None else _noises(release, options.rate)
     peaks = [float(np.abs(x).max(initial=0.0)) for x in noises.values()]
     peak = max([key.peak for pair in measured for key in pair] + peaks)
-    writer = _Writer(work, 10 ** (options.peak_db / 20) / peak if peak > 0 else 1.0, options)
+    writer = _Writer(instrument, work, 10 ** (options.peak_db / 20) / peak if peak > 0 else 1.0, options)
     sampled_keys = []
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
-        sampled_keys.append(_write_key(instrument, writer, key, span, pair))
+        sampled_keys.append(writer.key(key, span, pair))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
-    played = sorted(played_keys(sampled_keys))
-    releases = [] if instrument.release is None else _write_releases(instrument.release, noises, writer, played)
+    releases = writer.releases(release, noises, sorted(played_keys(sampled_keys))) if release else []
     summary = ExportSummary(
         keys=len(keys),
         unrecorded=len(instrument.unrecorded(keys)),
@@ -273,41 +234,8 @@ def _write_samples(
 
 def _measure(instrument: Instrument, midi: int, options: ExportOptions) -> list[KeySamples]:
     """Measure the layers of a key without and, if it is sampled, with the left pedal."""
-    string, velocities = StringVoice(instrument.note(midi, 64), midi, options.rate), layer_velocities(options.layers)
-    pedals = (0.0, 1.0) if options.una_corda else (0.0,)
-    return [measure_layers(instrument, string, velocities, options.seconds, options.blend, soft) for soft in pedals]
-
-
-def _write_key(
-    instrument: Instrument, writer: _Writer, midi: int, span: tuple[int, int], measured: Sequence[KeySamples]
-) -> SampledKey:
-    """Write the samples of a key: strokes without and with the left pedal, and the resonance."""
-    string = StringVoice(instrument.note(midi, 64), midi, writer.options.rate)
-    strokes = [_write_strokes(instrument, writer, string, layers, float(i)) for i, layers in enumerate(measured)]
-    damper = float(instrument.dampers.rates(midi, np.array([hertz_of(midi)]))[0])
-    resonance = _write_resonance(instrument, writer, string, measured[0]) if writer.options.resonance else None
-    return SampledKey(midi, *span, damper, strokes[0], strokes[1] if len(strokes) > 1 else (), resonance)
-
-
-def _write_strokes(
-    instrument: Instrument, writer: _Writer, string: StringVoice, layers: KeySamples, soft: float
-) -> list[Sample]:
-    """Write the layers of a key at a position of the left pedal, 0 or 1."""
-    samples = []
-    for zone, begin in zip(layers.zones, layers.begin, strict=True):
-        sound = render_sample(instrument, string, zone.velocity, begin, writer.options.length, soft)
-        ending = f"v{zone.velocity:03}" + ("-soft" if soft else "")
-        samples.append(Sample(zone, writer.write(string.midi, ending, zone.sample_gain * sound)))
-    return samples
-
-
-def _write_resonance(instrument: Instrument, writer: _Writer, string: StringVoice, layers: KeySamples) -> Sample | None:
-    """Write what free strings add to the middle layer of a key, or nothing if they are silent."""
-    zone, begin = layers.whole, layers.begin[len(layers.begin) // 2]
-    sound = render_resonance_sample(instrument, string, zone.velocity, begin, writer.options.length)
-    if not np.abs(sound).max(initial=0.0) > 0:
-        return None
-    return Sample(zone, writer.write(string.midi, "resonance", zone.sample_gain * sound))
+    string = StringVoice(instrument.note(midi, 64), midi, options.rate)
+    return [measure_layers(instrument, string, options, float(soft)) for soft in range(1 + options.una_corda)]
 
 
 def _noises(release: ReleaseNoise, rate: int) -> dict[int, np.ndarray]:
@@ -315,17 +243,58 @@ def _noises(release: ReleaseNoise, rate: int) -> dict[int, np.ndarray]:
     return {midi: release.sound(midi, RECORDED_VELOCITY, math.inf, rate)[:CHANNELS] for midi in release.sounds}
 
 
-def _write_releases(
-    release: ReleaseNoise, noises: Mapping[int, np.ndarray], writer: _Writer, played: Sequence[int]
-) -> list[ReleaseSample]:
-    """Write the noises of the recorded keys that are needed, and return the noise of every key that is played."""
-    files, found = dict[int, str](), []
-    for midi in played:
-        source = release.source(midi)
-        if source not in files:
-            files[source] = writer.write(source, "release", noises[source])
-        found.append(ReleaseSample(midi, files[source], DB * release.log_gain(midi)))
-    return found
+class _Writer:
+    """Writes the samples of an instrument with one gain, and counts them."""
+
+    def __init__(self, instrument: Instrument, work: Path, gain: float, options: ExportOptions) -> None:
+        self.instrument, self.work, self.gain, self.options = instrument, work, gain, options
+        self.samples, self.frames, self.bytes = 0, 0, 0
+
+    def key(self, midi: int, span: tuple[int, int], measured: Sequence[KeySamples]) -> SampledKey:
+        """Write the samples of a key: strokes without and with the left pedal, and the resonance."""
+        string = StringVoice(self.instrument.note(midi, 64), midi, self.options.rate)
+        strokes = [self._strokes(string, layers, float(soft)) for soft, layers in enumerate(measured)]
+        resonance = self._resonance(string, measured[0]) if self.options.resonance else None
+        return SampledKey(midi, *span, self.instrument.dampers.rate(midi), *strokes, resonance=resonance)
+
+    def releases(
+        self, release: ReleaseNoise, noises: Mapping[int, np.ndarray], played: Sequence[int]
+    ) -> list[ReleaseSample]:
+        """Write the noises of the recorded keys that are needed, and return the noise of every key that is played."""
+        files, found = dict[int, str](), []
+        for midi in played:
+            source = release.source(midi)
+            if source not in files:
+                files[source] = self._write(source, "release", noises[source])
+            found.append(ReleaseSample(midi, files[source], DB * release.log_gain(midi)))
+        return found
+
+    def _strokes(self, string: StringVoice, layers: KeySamples, soft: float) -> list[Sample]:
+        """Write the layers of a key at a position of the left pedal, 0 or 1."""
+        samples = []
+        for zone, begin in zip(layers.zones, layers.begin, strict=True):
+            sound = render_sample(self.instrument, string, zone.velocity, begin, self.options, soft)
+            ending = f"v{zone.velocity:03}" + ("-soft" if soft else "")
+            samples.append(Sample(zone, self._write(string.midi, ending, zone.sample_gain * sound)))
+        return samples
+
+    def _resonance(self, string: StringVoice, layers: KeySamples) -> Sample | None:
+        """Write what free strings add to the middle layer of a key, or nothing if they are silent."""
+        zone, begin = layers.whole, layers.begin[len(layers.begin) // 2]
+        sound = render_resonance_sample(self.instrument, string, zone.velocity, begin, self.options)
+        if not np.abs(sound).max(initial=0.0) > 0:
+            return None
+        return Sample(zone, self._write(string.midi, "resonance", zone.sample_gain * sound))
+
+    def _write(self, midi: int, ending: str, sound: np.ndarray) -> str:
+        """Write a sound [channels, samples] and return its file, relative to the folder."""
+        name = midi_to_note(midi).replace("#", "s")  # SFZ reads "#" as the start of a directive
+        file = f"samples/{midi:03}-{name}-{ending}.{self.options.kind}"
+        content = encode_pcm(np.clip(self.gain * sound, -1.0, 1.0), self.options.rate, self.options.kind)
+        self.bytes += (self.work / file).write_bytes(content)
+        self.samples += 1
+        self.frames += sound.shape[-1]
+        return file
 
 
 def _file_name(name: str) -> str:

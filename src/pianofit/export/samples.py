@@ -6,6 +6,7 @@ The motion of free strings follows the force of the hammer, so its level over ve
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,11 +15,14 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from ..instrument import Instrument
+from ..io.files import PEAK_LIMIT
 from ..model.note import arrival
 from ..playback.resonance import Stroke, hop_count, render_resonance
 from ..playback.voice import CHANNELS, StringVoice
 from .layers import LOUDEST, SOFTEST, Zone, blend_layers, crossfade_layers, layer_velocities
 
+# By default the loudest sample has this peak, dB re full scale.
+PEAK_LIMIT_DB = 20 * math.log10(PEAK_LIMIT)
 # By default a sample ends this far below its peak, dB, or after the requested time. The fade is this fraction of its
 # length.
 SILENT_DB = 110.0
@@ -38,11 +42,18 @@ LEVELS = 22
 LARGEST_SHIFT = 1e-3
 
 
-class Length(NamedTuple):
-    """Where a sample ends."""
+class ExportOptions(NamedTuple):
+    """Number, length and format of the samples."""
 
-    seconds: float  # at the latest, s
-    silent_db: float  # below its peak, dB
+    layers: int = 8  # per key
+    seconds: float = 8.0  # largest length of a sample
+    rate: int = 48_000  # Hz
+    kind: str = "flac"
+    blend: str = "curves"  # of layers over velocity: curves, xfade or plain
+    resonance: bool = True  # a sample of the free strings for each key
+    una_corda: bool = False  # layers with the left pedal down
+    peak_db: float = PEAK_LIMIT_DB  # of the loudest sample, dB re full scale
+    trim_db: float = SILENT_DB  # a sample ends this far below its peak, dB
 
 
 class KeySamples(NamedTuple):
@@ -54,18 +65,14 @@ class KeySamples(NamedTuple):
     whole: Zone  # gain over all velocities of a sample that is struck at the middle layer
 
 
-def measure_layers(
-    instrument: Instrument, string: StringVoice, velocities: Sequence[int], seconds: float, blend: str, soft: float
-) -> KeySamples:
+def measure_layers(instrument: Instrument, string: StringVoice, options: ExportOptions, soft: float) -> KeySamples:
     """Strike a key at the velocities of its layers and at `LEVELS` more, and measure levels and positions.
 
-    `blend` is one of `BLENDS`, and `soft` the position of the left pedal, 0 to 1.
+    `soft` is the position of the left pedal, 0 to 1.
     """
+    velocities, seconds = layer_velocities(options.layers), min(options.seconds, LEVEL_SECONDS)
     measured = sorted({*velocities, *layer_velocities(LEVELS)})
-    sounds = {
-        velocity: render_stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS), soft)
-        for velocity in measured
-    }
+    sounds = {velocity: render_stroke(instrument, string, velocity, seconds, soft) for velocity in measured}
     level_db = [10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)) for sound in sounds.values()]
     layers = [sounds[velocity] for velocity in velocities]
     shifts, correlation = _align(layers, max(round(LARGEST_SHIFT * string.rate), 1))
@@ -74,30 +81,30 @@ def measure_layers(
     # The curve is constant below the softest stroke, because an extrapolation is unreliable.
     curve = PchipInterpolator(measured, level_db)(np.clip(np.arange(LOUDEST + 1), SOFTEST, LOUDEST))
     peak = max(float(np.abs(sound).max()) for sound in layers)
-    zones = blend_layers(blend, velocities, curve, correlation)
+    zones = blend_layers(options.blend, velocities, curve, correlation)
     (whole,) = crossfade_layers([velocities[len(velocities) // 2]], curve, [])
     return KeySamples(zones, [begin + shift for shift in shifts], peak, whole)
 
 
 def render_sample(
-    instrument: Instrument, string: StringVoice, velocity: int, begin: int, length: Length, soft: float
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, options: ExportOptions, soft: float
 ) -> np.ndarray:
     """A stroke [channels, samples] from sample `begin` on, with a fade-out."""
-    sound = render_stroke(instrument, string, velocity, length.seconds + max(begin, 0) / string.rate, soft)
-    return _cut(sound, begin, length, string.rate)
+    sound = render_stroke(instrument, string, velocity, options.seconds + max(begin, 0) / string.rate, soft)
+    return _cut(sound, begin, options)
 
 
 def render_resonance_sample(
-    instrument: Instrument, string: StringVoice, velocity: int, begin: int, length: Length
+    instrument: Instrument, string: StringVoice, velocity: int, begin: int, options: ExportOptions
 ) -> np.ndarray:
     """Sound that free strings add to the stroke of `render_sample` with the right pedal down [channels, samples]."""
     string.reset()
     head = string.strike(instrument.note(string.midi, velocity).size)
     stroke = Stroke(string.midi, 0, head.shape[-1], string.modes.state, string.force)
-    samples = round(length.seconds * string.rate) + max(begin, 0)
+    samples = round(options.seconds * string.rate) + max(begin, 0)
     lifted = np.zeros((len(instrument.keys), hop_count(samples, string.rate)))
     sound = render_resonance(instrument, [stroke], lifted, string.rate, samples)[:CHANNELS]
-    return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, length, string.rate)
+    return _cut(np.pad(sound, ((0, 0), (string.lead, 0))), begin, options)
 
 
 def render_stroke(
@@ -133,16 +140,11 @@ def _align(layers: Sequence[np.ndarray], farthest: int) -> tuple[list[int], list
     return shifts[::-1], correlation[::-1]
 
 
-def _cut(sound: np.ndarray, begin: int, length: Length, rate: int) -> np.ndarray:
-    """A sound [channels, samples] from sample `begin` on, with a fade-out."""
-    sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))
-    return _fade_out(sound[:, : round(length.seconds * rate)], rate, length.silent_db)
-
-
-def _fade_out(sound: np.ndarray, rate: int, silent_db: float) -> np.ndarray:
-    """Cut a sound at the beginning of silence and fade it out."""
-    loud = np.flatnonzero(_above(sound, silent_db))
-    sound = sound[:, : max(int(loud[-1]) + 1 if loud.size else 1, rate // 20)].copy()
+def _cut(sound: np.ndarray, begin: int, options: ExportOptions) -> np.ndarray:
+    """A sound [channels, samples] from sample `begin` on, cut at the beginning of silence, with a fade-out."""
+    sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))[:, : round(options.seconds * options.rate)]
+    loud = np.flatnonzero(_above(sound, options.trim_db))
+    sound = sound[:, : max(int(loud[-1]) + 1 if loud.size else 1, options.rate // 20)].copy()
     fade = max(int(FADE * sound.shape[-1]), 2)
     sound[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     return sound

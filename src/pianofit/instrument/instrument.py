@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
-from ..conversions import A4, DB, LOWEST_KEY, hertz_of
+from ..conversions import A4, DB, LOWEST_KEY
 from ..errors import ParameterError
 from ..excitation import Excitation
 from ..felt import law_of
@@ -191,7 +191,7 @@ class Instrument:
     def beyond_strings(self) -> str:
         """Text on dampers, release noise and noise floor."""
         measured = f"{self.dampers.source}, {counted(len(self.dampers.keys), 'key')}" * bool(self.dampers.keys)
-        low, high = (self.dampers.rates(midi, np.array([hertz_of(midi)]))[0] * DB for midi in (LOWEST_KEY, LAST_DAMPER))
+        low, high = (self.dampers.rate(midi) * DB for midi in (LOWEST_KEY, LAST_DAMPER))
         dampers = f"dampers: {low:.0f} to {high:.0f} dB/s at the fundamental, from: {measured or self.dampers.source}"
         release = counted(len(self.release.sounds), "key") if self.release else "none"
         noise = f"{self.noise.level_db:.0f} dB re full scale" if self.noise else "none"

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import ParameterError, check_range
 from ..instrument import Instrument
+from ..instrument.release_noise import RECORDED_VELOCITY
 from ..io.audio import RATES
 from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES
@@ -25,8 +26,6 @@ from .voice import StringVoice
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
-# MIDI release velocity of a key that states none.
-RELEASE_VELOCITY = 64
 # Level of resonance below the peak of the song at which it ends, dB.
 INAUDIBLE_DB = -110.0
 # Largest gain reduction by the limiter. Any further reduction applies to the whole song.
@@ -143,16 +142,16 @@ def render_song(
         raise ParameterError("noise=True, but no noise floor is known of this instrument; play without it")
     resonance = options.resonance if instrument.resonates else 0.0
     pedal_range, end = options.pedal_range, song.seconds + LAST_HELD
-    unplayed = _events(key_motions(song, -1, pedal_range, end), rate)
+    unplayed = key_motions(song, -1, pedal_range, end)
     contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)))
     total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
     for row, key in zip(contact, sorted(instrument.keys), strict=True):
-        events = _events(key_motions(song, key, pedal_range, end), rate) if key in song.keys else unplayed
-        row[:] = mean_contact([(e.sample, e.contact) for e in events], len(row), rate)
+        motions = key_motions(song, key, pedal_range, end) if key in song.keys else unplayed
+        row[:] = mean_contact([(round(m.seconds * rate), m.contact) for m in motions], len(row), rate)
         if key not in song.keys:
             continue
         string = StringVoice(instrument.note(key, 64), key, rate, instrument.dampers)
-        for at, sound, struck in _phrases(string, instrument, events, size):
+        for at, sound, struck in _phrases(string, instrument, motions, size):
             begin = at + lead - string.lead
             sound = string.through_path(sound)[:, : size - begin]
             stop = begin + sound.shape[-1]
@@ -183,19 +182,6 @@ def render_song(
     return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 
 
-class _Event(NamedTuple):
-    """A `KeyMotion` at a sample."""
-
-    sample: int
-    velocity: int
-    contact: float
-    soft: float
-
-
-def _events(motions: list[KeyMotion], rate: int) -> list[_Event]:
-    return [_Event(round(m.seconds * rate), m.velocity, m.contact, m.soft) for m in motions]
-
-
 def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: int, lead: int) -> int:
     """Add the noises of keys that are let go; return the end of the last one, samples."""
     if instrument.release is None:
@@ -203,7 +189,7 @@ def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: i
     last = 0
     for key in song.keys:
         for at, held in releases(song, key):
-            velocity = song.release_velocities.get((key, at), RELEASE_VELOCITY)
+            velocity = song.release_velocities.get((key, at), RECORDED_VELOCITY)
             begin = round(at * rate) + lead
             sound = instrument.release.sound(key, velocity, held, rate)[:, : total.shape[-1] - begin]
             end = begin + sound.shape[-1]
@@ -213,7 +199,7 @@ def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: i
 
 
 def _phrases(
-    string: StringVoice, instrument: Instrument, events: list[_Event], size: int
+    string: StringVoice, instrument: Instrument, motions: list[KeyMotion], size: int
 ) -> Iterator[tuple[int, np.ndarray, list[tuple[Stroke, bool]]]]:
     """Yield (first sample, sound, strokes and whether the string was moving), from silence to silence, up to `size`.
 
@@ -221,8 +207,8 @@ def _phrases(
     to every piece.
     """
     at, begin, sounds, struck = 0, 0, [], []
-    for event in [*events, _Event(size, velocity=0, contact=0.0, soft=0.0)]:
-        end = min(event.sample, size)
+    for motion in [*motions, KeyMotion(size / string.rate, velocity=0, contact=0.0)]:
+        end = min(round(motion.seconds * string.rate), size)
         while at < end and string.is_audible:
             sounds.append(string.ring(min(CHUNK_SAMPLES, end - at)))
             at += sounds[-1].shape[-1]
@@ -232,12 +218,12 @@ def _phrases(
         at = max(at, end)
         if at >= size:
             return
-        string.contact = event.contact
-        if event.velocity:
+        string.contact = motion.contact
+        if motion.velocity:
             begin = begin if sounds else at
             was_moving, touch = string.in_motion, at
-            strength = instrument.note(string.midi, event.velocity).size
-            sounds.append(string.strike(strength, event.soft)[:, : size - at])
+            strength = instrument.note(string.midi, motion.velocity).size
+            sounds.append(string.strike(strength, motion.soft)[:, : size - at])
             at += sounds[-1].shape[-1]
             struck.append((Stroke(string.midi, touch, at, string.modes.state, string.force), was_moving))
 

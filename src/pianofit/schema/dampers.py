@@ -75,6 +75,10 @@ class Dampers:
         mean = np.array([math.log(self.bass), math.log(self.treble), self.slope])
         return np.exp(design_rows(midi, hz) @ mean)
 
+    def rate(self, midi: int) -> float:
+        """Return the rate at the fundamental of a key, 1/s; 0 for a key without damper."""
+        return float(self.rates(midi, np.array([hertz_of(midi)]))[0])
+
     def interval(self, midi: int, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of the 95 % intervals of `rates`, 1/s [modes]."""
         rows = design_rows(midi, hz)

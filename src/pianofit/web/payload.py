@@ -223,9 +223,9 @@ def encode_note(
 
 def _damper(midi: int, dampers: Dampers) -> dict[str, float] | None:
     """Return the rate of a damper at the fundamental of its key, and its exponent over frequency."""
-    hertz = hertz_of(midi)
-    rate = float(dampers.rates(midi, np.array([hertz]))[0])
-    return None if midi > LAST_DAMPER else {"rate": rate, "hertz": hertz, "slope": dampers.slope}
+    if midi > LAST_DAMPER:
+        return None
+    return {"rate": dampers.rate(midi), "hertz": hertz_of(midi), "slope": dampers.slope}
 
 
 def _modal_response(response: ModalResponse, knock: KnockEncoding | None) -> dict[str, Any]:

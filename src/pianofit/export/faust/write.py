@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...conversions import hertz_of
 from ...errors import ParameterError
 from ...instrument import Instrument
 from ...instrument.dampers import LAST_DAMPER, Dampers
@@ -148,7 +147,7 @@ def _fit_knocks(key_tables: Sequence[KeyTables]) -> tuple[int | None, list[LowRa
 def _damper_tables(keys: Sequence[int], key_tables: Sequence[KeyTables], dampers: Dampers) -> Iterator[str]:
     """Definitions of the rates that dampers add at the fundamental, and to the mode that they damp most slowly."""
     hertz = [np.abs(np.imag(key.pole)) / (2 * np.pi) for key in key_tables]
-    at_fundamental = [dampers.rates(midi, np.array([hertz_of(midi)]))[0] for midi in keys]
+    at_fundamental = [dampers.rate(midi) for midi in keys]
     yield _table("damper_of_row", at_fundamental)
     slowest = [
         dampers.rates(midi, hz).min(initial=rate) for midi, hz, rate in zip(keys, hertz, at_fundamental, strict=True)
