@@ -54,7 +54,8 @@ USES = {
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
     "batch": "analysis fitting instrument io parameters program_folder recording report schema threads",
-    "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema threads",
+    "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema threads"
+    " transducer",
     "listening": "io recording report schema",
     "dataset": "analysis batch felt inference instrument io literature model parameters program_folder progress schema"
     " threads",

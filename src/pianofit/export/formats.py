@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from ..analysis.note_names import midi_to_note
 from ..instrument import Instrument
-from ..instrument.dampers import LAST_DAMPER
 from ..io.files import printable
+from ..schema.dampers import LAST_DAMPER
 from .decent_sampler import dspreset_text
 from .layers import BLENDS, SamplerContent, format_keys, played_keys, silent_keys
 from .sfz import sfz_text

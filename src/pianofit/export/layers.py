@@ -23,7 +23,7 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
-from ..instrument.dampers import LAST_DAMPER
+from ..schema.dampers import LAST_DAMPER
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
@@ -140,15 +140,20 @@ def blend_layers(
     """Zones of the layers of a key, blended as `blend` says; see `crossfade_layers` for the other parameters."""
     if blend == "curves":
         return crossfade_layers(velocities, level_db, correlation)
+    spans = _overlapping_spans(velocities)
+    if blend == "plain":
+        halves = [(a + b) // 2 for a, b in pairwise(velocities)]
+        spans = [*zip([SOFTEST, *(half + 1 for half in halves)], [*halves, LOUDEST], strict=True)]
+    return [
+        Zone(struck, low, high, np.ones(high - low + 1), 1.0)
+        for struck, (low, high) in zip(velocities, spans, strict=True)
+    ]
+
+
+def _overlapping_spans(velocities: Sequence[int]) -> list[tuple[int, int]]:
+    """Range of velocities of each layer, up to those at which its neighbours are struck."""
     edges = [SOFTEST - 1, *velocities, LOUDEST + 1]
-    halves = [(a + b) // 2 for a, b in pairwise(velocities)]
-    zones = []
-    for i, struck in enumerate(velocities):
-        low, high = edges[i] + 1, edges[i + 2] - 1
-        if blend == "plain":
-            low, high = [SOFTEST, *(half + 1 for half in halves)][i], [*halves, LOUDEST][i]
-        zones.append(Zone(struck, low, high, np.ones(high - low + 1), 1.0))
-    return zones
+    return [(below + 1, above - 1) for below, above in zip(edges, edges[2:], strict=False)]
 
 
 def crossfade_layers(velocities: Sequence[int], level_db: np.ndarray, correlation: Sequence[float]) -> list[Zone]:
@@ -160,16 +165,14 @@ def crossfade_layers(velocities: Sequence[int], level_db: np.ndarray, correlatio
     level_db : level at every MIDI velocity from 0 to 127 [128].
     correlation : correlation of each sample with the next louder one, aligned [layers - 1].
     """
-    edges = [SOFTEST - 1, *velocities, LOUDEST + 1]
     zones = []
-    for i, struck in enumerate(velocities):
-        low, high = (edges[i] + 1, edges[i + 2] - 1) if len(velocities) > 1 else (SOFTEST, LOUDEST)
+    for i, (struck, (low, high)) in enumerate(zip(velocities, _overlapping_spans(velocities), strict=True)):
         span = np.arange(low, high + 1)
         gain = 10 ** ((level_db[span] - level_db[struck]) / 20)
         if i > 0:
-            gain[span < struck] *= _crossfade(span[span < struck], edges[i], struck, correlation[i - 1])
+            gain[span < struck] *= _crossfade(span[span < struck], low - 1, struck, correlation[i - 1])
         if i < len(velocities) - 1:
-            gain[span > struck] *= _crossfade(span[span > struck], edges[i + 2], struck, correlation[i])
+            gain[span > struck] *= _crossfade(span[span > struck], high + 1, struck, correlation[i])
         zones.append(Zone(struck, low, high, gain / gain.max(), float(gain.max())))
     return zones
 

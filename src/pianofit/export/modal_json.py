@@ -18,7 +18,7 @@ from ..analysis.note_names import midi_to_note
 from ..felt import law_of
 from ..instrument import Instrument
 from ..io.files import replace_file
-from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ForcePulse, ModalResponse
+from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ModalResponse
 from ..model.note import Note
 from ..playback.repeated_strike import StringTables, strike_string, string_tables
 from ..schema.decode import encode_json
@@ -129,7 +129,7 @@ def _force(
     return ForceEntry(
         velocity,
         force.velocity,
-        1e3 * _contact_seconds(force),
+        1e3 * (len(force.force) * force.step),
         _rounded(force.at(RATE)),
         _rounded(np.stack([np.real(factor), np.imag(factor)])),
         _rounded(20 * np.log10(np.linalg.norm(amplitude, axis=0) + 1e-30)),
@@ -139,10 +139,6 @@ def _force(
 def _numbers(*values: Any) -> dict[str, float]:
     """Return the fields of named tuples of the model."""
     return {name: float(x) for each in values for name, x in each._asdict().items()}
-
-
-def _contact_seconds(force: ForcePulse) -> float:
-    return len(force.force) * force.step
 
 
 def _string_response(note: Note, table: StringTables) -> ModalResponse:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
-from ..conversions import HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY
+from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import ParameterError, check_range
 from ..excitation import Excitation
 from ..io.number_format import counted
@@ -141,7 +140,7 @@ def _keyboard_law(
     q: int, name: str, posterior: KeyboardPosterior, reference: np.ndarray, law: Excitation
 ) -> KeyboardLaw:
     quantity, shape = LAW_QUANTITIES[name], posterior.shapes[q]
-    low, high = _interval(name, posterior.mean[0, q], posterior.sd[0, q])
+    low, high = quantity.interval(posterior.mean[0, q], posterior.sd[0, q])
     return KeyboardLaw(
         unit=quantity.unit,
         scale=quantity.scale,
@@ -154,26 +153,21 @@ def _keyboard_law(
     )
 
 
-def _interval(name: str, y: Any, sd: Any) -> tuple[Any, Any]:
-    """Return the ends of the 95 % interval."""
-    unscaled = LAW_QUANTITIES[name].unscaled
-    return unscaled(y - HALF_WIDTH_95 * sd), unscaled(y + HALF_WIDTH_95 * sd)
-
-
 def _values(midi: int, posterior: KeyboardPosterior, keys: Sequence[KeyFit]) -> dict[str, KeyValue]:
     """Return the posterior of every quantity of one key, and what its own fit measured."""
     numbers = [key.midi for key in keys]
     j = numbers.index(midi) if midi in numbers else None
     found = {}
-    for q, name in enumerate(law_quantities(keys[0].law)):
-        unscaled = LAW_QUANTITIES[name].unscaled
+    for q, (name, quantity) in enumerate(law_quantities(keys[0].law).items()):
         (law, value), (_, sd) = (x[:, q, midi - LOWEST_KEY].tolist() for x in (posterior.mean, posterior.sd))
         own = None
         if j is not None:
             fitted = keys[j].fitted
             mean, own_sd = float(fitted.mean[q]), math.sqrt(fitted.covariance[q, q])
-            own = OwnFit(float(unscaled(mean)), _interval(name, mean, own_sd), float(posterior.z[q, j]))
-        found[name] = KeyValue(float(unscaled(value)), _interval(name, value, sd), float(unscaled(law)), own)
+            own = OwnFit(float(quantity.unscaled(mean)), quantity.interval(mean, own_sd), float(posterior.z[q, j]))
+        found[name] = KeyValue(
+            float(quantity.unscaled(value)), quantity.interval(value, sd), float(quantity.unscaled(law)), own
+        )
     return found
 
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..conversions import hertz_of
-from ..schema.dampers import LAST_DAMPER as LAST_DAMPER
-from ..schema.dampers import LITERATURE_SD, Dampers, design_rows
+from ..schema.dampers import LAST_DAMPER, LITERATURE_SD, Dampers, design_rows
 from ..schema.extras import KeyExtras
 
 # Standard deviations of single keys about the law: of the logarithm of the rate, and of the slope. Chosen: dampers are

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..conversions import hertz_of, midi_of
+from ..conversions import HALF_WIDTH_95, hertz_of, midi_of
 from ..dsp.loudness import k_weighted_mean_square
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS, FeltLaw, SoftHammer, law_of
@@ -40,6 +40,10 @@ class LawQuantity:
     def unscaled(self, values: Any) -> Any:
         """Return values from the scale of the law."""
         return values if self.scale == "linear" else np.exp(values)
+
+    def interval(self, mean: Any, sd: Any) -> tuple[Any, Any]:
+        """Return the ends of a 95 % interval, from mean and standard deviation on the scale of the law."""
+        return self.unscaled(mean - HALF_WIDTH_95 * sd), self.unscaled(mean + HALF_WIDTH_95 * sd)
 
 
 LAW_QUANTITIES = {
@@ -99,11 +103,6 @@ def stroke_level(note: Note, size: float = LOUDEST_VELOCITY) -> float:
     """
     sound = note.with_size(size).render(seconds=LEVEL_SECONDS, rate=LEVEL_RATE, mono=False)
     return 10 * math.log10(max(k_weighted_mean_square(sound, LEVEL_RATE), 1e-30))
-
-
-def is_force(quantity: str) -> bool:
-    """Return True if the recorded quantity is proportional to the string mass."""
-    return quantity in ("bridge-force", "pressure")
 
 
 def soft_hammer(hammer: Any) -> SoftHammer:

@@ -27,9 +27,9 @@ from ..model.modal_response import ModalResponse, force_pulse
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
 from ..model.output_path import OutputPath
+from ..transducer import TRANSDUCERS
 from .fields import Field, FieldPoints, field_shape
 from .guessed_knocks import KnockFields, measure_knocks
-from .key_quantities import is_force
 
 # Width of the cells of frequency in which the partials of a key are averaged, octaves: a critical band.
 CELL = 1 / 6
@@ -169,7 +169,7 @@ def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) ->
     sine = np.sin(at)
     weight = weight / np.where(np.abs(sine) < 1e-9, 1e-9, sine) * np.sqrt((1 - blur * np.cos(2 * at)) / 2)
     weight = weight * law_of(note.hammer).mode_excitation(omega)
-    if is_force(note.quantity):  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
+    if not TRANSDUCERS[note.quantity].on_string:  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
         sign = np.where(np.arange(count) % 2, -1.0, 1.0)
         return Partials(frequency, sign * 2 * weight * omega / (beta * g.length))
     impulse = 2 * weight / g.mass * np.sin(beta * g.pickup) / (1.0 if note.quantity == "velocity" else omega)

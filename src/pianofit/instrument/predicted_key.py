@@ -16,13 +16,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
-from ..conversions import hertz_of
+from ..conversions import CENTS, hertz_of
 from ..errors import ParameterError
 from ..felt import FeltLaw
 from ..key_prior import PRIOR_QUANTITIES, KeyPrior
 from .build import reference_values
 from .collect_fits import KeyFit
-from .key_measurements import CENTS
 from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression, skin_share
 from .keyboard_posterior import VELOCITY_SCALE_SD, joint_laws
 

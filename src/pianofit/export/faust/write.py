@@ -12,13 +12,13 @@ import numpy as np
 
 from ...errors import ParameterError
 from ...instrument import Instrument
-from ...instrument.dampers import LAST_DAMPER, Dampers
 from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import FILTER_REACH
 from ...playback.midi import SWITCH
 from ...playback.pedals import PedalRange
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice
 from ...report.html import asset
+from ...schema.dampers import LAST_DAMPER, Dampers
 from ...threads import one_blas_thread
 from ..layers import LARGEST_TRANSPOSITION, LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
