@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
 from ..errors import AnalysisError, OutputError, ParameterError, check_range, check_type
-from ..felt import DEFAULT_LAW, law_of
+from ..felt import law_of
 from ..instrument import load_instrument
+from ..instrument.key_quantities import literature_note
 from ..io.files import path_name, printable, read_file
-from ..literature import typical
 from ..model.note import Note, check_render
 from ..schema.dataset import NoteOptions
 from ..schema.decode import load_json
@@ -117,12 +117,7 @@ class _Literature(Mapping[int, Note]):
         return HIGHEST_KEY - LOWEST_KEY + 1
 
     def __getitem__(self, midi: int) -> Note:
-        it = typical(midi)
-        values = it.hammer._asdict() | {n: p.prior_median(midi) for n, p in DEFAULT_LAW.parameters.items()}
-        hammer = DEFAULT_LAW.make_hammer({name: values[name] for name in DEFAULT_LAW.hammer_parameters})
-        # As in a fit that is not given the width of the contact.
-        geometry = it.geometry._replace(width=min(it.geometry.width, 0.1 * it.geometry.length))
-        return Note(it.string, hammer, geometry, "bridge-force", 1.0)
+        return literature_note(midi)
 
 
 @lru_cache(maxsize=1)  # a worker reads it for every block

@@ -44,20 +44,15 @@ def _head(content: SamplerContent) -> Iterator[str]:
     yield "// A region is one layer, or the free strings. Its gain follows the velocity."
     pedals = {64: "right pedal", 66: "middle pedal"} | ({67: "left pedal"} if content.keys[0].soft else {})
     yield f"<control> {' '.join(f'label_cc{number}={name}' for number, name in pedals.items())}"
-    contact = _contacts()
     least = _least_contact(content)
-    times = [(1 / max(c, least) - 1) / (1 / least - 1) for c in contact]
+    contacts = map(PedalRange().contact, range(LOUDEST + 1))  # at each value of controller 64
+    times = [(1 / max(contact, least) - 1) / (1 / least - 1) for contact in contacts]
     yield f"<curve> curve_index={PEDAL_CURVE} {_points(enumerate(times))}"
     blend = "100" if content.blend == "curves" else "0 xf_velcurve=gain"
     switches = f"sustain_lo={PedalRange().high:g} sostenuto_lo={SWITCH}"
     yield f"<global> ampeg_attack=0 ampeg_dynamic=1 {switches} amp_veltrack={blend}"
     yield from _releases(content)
     yield ""
-
-
-def _contacts() -> list[float]:
-    """Contact of the dampers at each value of controller 64."""
-    return [PedalRange().contact(value) for value in range(LOUDEST + 1)]
 
 
 def _least_contact(content: SamplerContent) -> float:

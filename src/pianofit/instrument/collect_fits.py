@@ -29,7 +29,7 @@ from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import Hammer
 from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
-from ..schema.fit import Fit, read_fit
+from ..schema.fit import Fit, key_files, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..threads import one_blas_thread
@@ -94,9 +94,7 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
             continue
         if not path.is_dir():
             raise FitError(f"{printable(path)}: no such file or folder; give what pianofit batch or pianofit fit wrote")
-        patterns = ("keys/*/fit.json", "*/fit.json", "fit.json")
-        in_folder = next((files for pattern in patterns if (files := sorted(path.glob(pattern)))), [])
-        if not in_folder:
+        if not (in_folder := key_files(path)):
             raise FitError(f"{printable(path)}: holds no keys/KEY/fit.json; give the folder that pianofit batch wrote")
         found += in_folder
     owners = {file: instrument_name(file) for file in found}
@@ -140,9 +138,7 @@ def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
     """
     files: list[Path] = []
     for path in paths:
-        patterns = (f"keys/*/{EXTRAS_FILE}", f"*/{EXTRAS_FILE}", EXTRAS_FILE)
-        folder = path.parent if path.is_file() else path
-        files += next((found for p in patterns[2 * path.is_file() :] if (found := sorted(folder.glob(p)))), [])
+        files += path.parent.glob(EXTRAS_FILE) if path.is_file() else key_files(path, EXTRAS_FILE)
     return [read_extras(file) for file in files if instrument_name(file) == instrument]
 
 

@@ -17,7 +17,7 @@ from ..dsp.loudness import k_weighted_mean_square
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS, FeltLaw, SoftHammer, law_of
 from ..felt.soft_skin import SOFT_SKIN
-from ..literature import PICKUP, reference_compression, typical
+from ..literature import reference_compression, typical
 from ..model.note import Note
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, String
 from .quantity_law import Prior
@@ -189,8 +189,12 @@ def within_ranges(values: dict[str, float]) -> dict[str, float]:
 
 def literature(midi: int) -> dict[str, float]:
     """Return the `LAW_QUANTITIES` of the literature's key, without the level."""
+    return key_quantities(literature_note(midi), midi)
+
+
+def literature_note(midi: int) -> Note:
+    """Return the literature's key, with the contact of a fit that is not given the width of the contact."""
     it = typical(midi)
-    width = min(it.geometry.width, 0.1 * it.geometry.length)
-    geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
+    geometry = it.geometry._replace(width=min(it.geometry.width, 0.1 * it.geometry.length))
     hammer = SoftHammer(*it.hammer, SOFT_SKIN.parameters["skin"].prior_median(midi))
-    return key_quantities(Note(it.string, hammer, geometry, "velocity", 1.0), midi)
+    return Note(it.string, hammer, geometry, "bridge-force", 1.0)

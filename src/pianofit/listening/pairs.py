@@ -17,11 +17,10 @@ from ..errors import RecordingError
 from ..io.files import printable, read_file
 from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
 from ..report.save import stroke_names
-from ..schema.fit import read_fit
+from ..schema.fit import key_files, read_fit
 
 # Maximum number of pairs. With 4 s in stereo at 48 kHz the page has 160 MB, which browsers still open.
 MAX_PAIRS = 80
-FIT_PATTERNS = ("keys/*/fit.json", "*/fit.json", "fit.json")
 
 
 class Place(NamedTuple):
@@ -121,8 +120,7 @@ def _files(side: Path) -> Iterator[Path]:
 
 def _fits_in(side: Path) -> Fits:
     """Sounds of all fits in a folder, by hash of the recording."""
-    files = next((found for form in FIT_PATTERNS if (found := sorted(side.glob(form)))), [])
-    return {digest: fit for file in files for digest, fit in _sounds_of(file)}
+    return {digest: fit for file in key_files(side) for digest, fit in _sounds_of(file)}
 
 
 def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:

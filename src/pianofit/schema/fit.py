@@ -345,6 +345,12 @@ def fit_path(path: str | os.PathLike[str]) -> Path:
     return Path(path) / "fit.json" if Path(path).is_dir() else Path(path)
 
 
+def key_files(folder: Path, name: str = "fit.json") -> list[Path]:
+    """Return the files of a name that a folder holds for its keys: in `keys/KEY`, or in folders, or in itself."""
+    patterns = (f"keys/*/{name}", f"*/{name}", name)
+    return next((found for pattern in patterns if (found := sorted(folder.glob(pattern)))), [])
+
+
 def read_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a `fit.json`.
 

@@ -104,14 +104,11 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     factors = _factorise(force[None], _basis(force, excitation[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
     velocities = [stroke.size for stroke in strokes]
     stroke_index = np.interp(np.log(velocities), np.log(measured), np.arange(len(measured)))
-    kept_pattern = pattern[:channels, kept]
-    if len(pattern) == 1:
-        kept_pattern = np.broadcast_to(kept_pattern, (channels, len(kept)))
     own_gain = velocity_gain[:, kept]
     integers, scale = _quantise(np.stack([np.real(own_gain), np.imag(own_gain)]), BITS, (0, 1, 2))
     return KeyTables(
         pole=pole[kept],
-        pattern=kept_pattern,
+        pattern=np.broadcast_to(pattern[:channels, kept], (channels, len(kept))),
         force=_quantise_factors(factors, BITS),
         knock=_knock(note, force, velocities, channels),
         stroke=stroke_index,
