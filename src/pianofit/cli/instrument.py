@@ -54,14 +54,12 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
-    from ..instrument import build_instrument, find_fits, load_extras, load_keys, write_instrument
-    from ..instrument.collect_fits import instrument_name, instrument_title
+    from ..instrument import write_instrument
+    from ..instrument.files import instrument_of_fits
     from ..instrument.page import write_page
     from ..schema.instrument import INSTRUMENT_FILE
 
-    files = find_fits(fits, prefix)
-    extras = load_extras(fits, instrument_name(files[0]))
-    built = build_instrument(load_keys(files), name or instrument_title(fits, files, prefix), even, extras)
+    built = instrument_of_fits(fits, prefix, even, name)
     with output_folder(out, force) as folder:
         record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +66,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     path = Path(path)
     file = path / INSTRUMENT_FILE if path.is_dir() else path
     if path.is_dir() and not file.is_file():
-        files = find_fits([path], prefix)
-        extras = load_extras([path], instrument_name(files[0]))
-        return build_instrument(load_keys(files), instrument_title([path], files, prefix), even, extras)
+        return instrument_of_fits([path], prefix, even)
     if prefix is not None:
         raise ParameterError(f"prefix={short_repr(prefix)}: {printable(path)} is a finished instrument; leave it out")
     if even:
@@ -89,6 +88,18 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
         record.noise,
         record.bridge,
     )
+
+
+def instrument_of_fits(
+    paths: Sequence[Path], prefix: str | None = None, even: float = 0.0, name: str | None = None
+) -> Instrument:
+    """Build the instrument of the fits among `paths`, with what a batch measured beyond them; see `find_fits`.
+
+    Its name is `name`, or follows from the `prefix` and the folders.
+    """
+    files = find_fits(paths, prefix)
+    extras = load_extras(paths, instrument_name(files[0]))
+    return build_instrument(load_keys(files), name or instrument_title(paths, files, prefix), even, extras)
 
 
 def _release(record: InstrumentFile, name: str) -> ReleaseNoise | None:

@@ -91,14 +91,12 @@ def with_guessed_responses(keys: Mapping[int, Key], laws: Mapping[str, KeyboardL
     """Return all keys; those that are guessed get their modal responses, which files do not hold."""
     are_guessed = any(key.is_guessed for key in keys.values())
     fields = measure_fields(recorded_keys(keys, laws)) if are_guessed else None
-    if fields is None:
-        return dict(keys)
-
-    def with_response(midi: int, key: Key) -> Key:
-        response = guess_response(key.note, midi, keyboard_string_law(laws, midi), fields)
-        return replace(key, note=key.note._replace(modal_response=response))
-
-    return {midi: with_response(midi, key) if key.is_guessed else key for midi, key in keys.items()}
+    completed = dict(keys)
+    for midi, key in keys.items():
+        if key.is_guessed and fields is not None:
+            response = guess_response(key.note, midi, keyboard_string_law(laws, midi), fields)
+            completed[midi] = replace(key, note=key.note._replace(modal_response=response))
+    return completed
 
 
 def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> ModalResponse:

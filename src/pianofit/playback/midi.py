@@ -20,7 +20,7 @@ from typing import NamedTuple
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import RecordingError
 from ..io.files import printable, read_file
-from .midi_file import MidiError, MidiFile, parse_midi
+from .midi_file import MidiError, MidiEvent, MidiFile, parse_midi
 
 LARGEST_SONG = 2**21  # bytes; 100,000 notes take about half of it
 MOST_NOTES = 100_000
@@ -28,8 +28,7 @@ MOST_SONG_SECONDS = 1800.0
 # Kinds of channel messages, controllers, and the channel of drums, from 0.
 NOTE_OFF, NOTE_ON, CONTROL = 8, 9, 11
 SUSTAIN, SOSTENUTO, SOFT, SOUND_OFF, NOTES_OFF = 64, 66, 67, 120, 123
-# Controllers that release pedals: "reset all controllers".
-RESETS = {121: (SUSTAIN, SOSTENUTO, SOFT)}
+RESET = 121  # "reset all controllers" releases the pedals
 # Value from which on MIDI defines a pedal as down.
 SWITCH = 64
 DRUMS = 9
@@ -121,16 +120,13 @@ def _song(file: MidiFile, name: str) -> Song:
     if file.seconds > MOST_SONG_SECONDS:
         raise RecordingError(f"{name}: lasts more than {MOST_SONG_SECONDS / 60:g} minutes; cut it into parts")
     notes, ignored = 0, 0
-    pedals: dict[int, list[tuple[float, int, int]]] = {SUSTAIN: [], SOSTENUTO: [], SOFT: []}
     release_velocities: dict[tuple[int, float], int] = {}
     key_events = defaultdict[int, defaultdict[int, list[_KeyEvent]]](lambda: defaultdict(list))  # by key and channel
     used_keys = defaultdict[int, set[int]](set)  # channel -> keys with events since its last "all notes off"
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
-        if kind == CONTROL and first in (*pedals, *RESETS):
-            _move_pedals(pedals, now, channel, first, second)
-        elif kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
+        if kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
             for key in used_keys.pop(channel, ()):
                 key_events[key][channel].append(_KeyEvent(order, now, END_ALL))
         elif kind in (NOTE_ON, NOTE_OFF):
@@ -145,34 +141,18 @@ def _song(file: MidiFile, name: str) -> Song:
                 ignored += velocity > 0
     _check_count(notes, name, file.remarks)
     keys = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
-    moved = {controller: _highest_values(changes) for controller, changes in pedals.items()}
-    return Song(
-        keys,
-        moved[SUSTAIN],
-        file.seconds,
-        notes,
-        ignored,
-        file.remarks,
-        moved[SOSTENUTO],
-        moved[SOFT],
-        release_velocities,
-    )
+    pedal, sostenuto, una_corda = (_pedal(file.events, controller) for controller in (SUSTAIN, SOSTENUTO, SOFT))
+    return Song(keys, pedal, file.seconds, notes, ignored, file.remarks, sostenuto, una_corda, release_velocities)
 
 
-def _move_pedals(
-    pedals: dict[int, list[tuple[float, int, int]]], now: float, channel: int, controller: int, value: int
-) -> None:
-    """Add (seconds, channel, value) to the pedals that a controller moves."""
-    for pedal in RESETS.get(controller, (controller,)):
-        pedals[pedal].append((now, channel, 0 if controller in RESETS else value))
-
-
-def _highest_values(changes: Sequence[tuple[float, int, int]]) -> list[tuple[float, int]]:
-    """Combine a controller of several channels, (seconds, channel, value) in time order: the highest value counts."""
+def _pedal(events: Sequence[MidiEvent], controller: int) -> list[tuple[float, int]]:
+    """Times and positions of a pedal. The highest value of all channels counts."""
     held: dict[int, int] = {}
     combined: list[tuple[float, int]] = []
-    for seconds, channel, value in changes:
-        held[channel] = value
+    for seconds, kind, channel, first, second in events:
+        if kind != CONTROL or channel == DRUMS or first not in (controller, RESET):
+            continue
+        held[channel] = 0 if first == RESET else second
         highest = max(held.values())
         if highest != (combined[-1][1] if combined else 0):
             combined.append((seconds, highest))
