@@ -29,7 +29,7 @@ from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import Hammer
 from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
-from ..schema.fit import Fit, key_files, read_fit
+from ..schema.fit import HINT, Fit, key_files, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..threads import one_blas_thread
@@ -280,8 +280,7 @@ def _check_values(fit: Fit, name: str, law: Excitation) -> None:
         if not (recording.stroke_value > 0 and recording.gain):
             raise FitError(
                 f"{name}: recordings[{i}] has {stroke.name} = {recording.stroke_value:g} {stroke.unit} and gain = "
-                f"{recording.gain:g}, but a {law.words.order} must be above 0, and a gain not 0; give the file that "
-                "pianofit fit wrote"
+                f"{recording.gain:g}, but a {law.words.order} must be above 0, and a gain not 0; {HINT}"
             )
     for i, minimum in enumerate(fit.minima):
         values = minimum.values(fit)
@@ -290,12 +289,11 @@ def _check_values(fit: Fit, name: str, law: Excitation) -> None:
         if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
                 f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and values above 0 of "
-                f"{', '.join(sorted(missing)) or 'its parameters'}; give the file that pianofit fit wrote"
+                f"{', '.join(sorted(missing)) or 'its parameters'}; {HINT}"
             )
         if minimum.covariance is not None and not minimum.covariance.is_valid:
             raise FitError(
-                f"{name}: minima[{i}].covariance must be a finite symmetric matrix without negative eigenvalues; give "
-                "the file that pianofit fit wrote"
+                f"{name}: minima[{i}].covariance must be a finite symmetric matrix without negative eigenvalues; {HINT}"
             )
 
 

@@ -6,9 +6,9 @@ A quantity of a partial, such as its level beyond the string model, is
 
 All keys share `common`, because they share one soundboard. `trend` changes slowly from bass to treble. Neighbouring
 keys, which stand on neighbouring places of the bridge, share `drift` at one absolute frequency. All three are Gaussian
-processes; the residual is white. Every prediction is
-a sum of measured values with weights that follow from the covariance alone. So the same weights serve levels in all
-channels, decay curves and phases. Far from all measured points a prediction returns to the mean, without an edge.
+processes; the residual is white. Every prediction is a sum of measured values with weights that follow from the
+covariance alone. So the same weights serve levels in all channels, decay curves and phases. Far from all measured
+points a prediction returns to the mean, without an edge.
 """
 
 from __future__ import annotations

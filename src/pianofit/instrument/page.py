@@ -35,6 +35,30 @@ FIGURES = {
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
 DECAYS = {"split_cents": "split of the two beating modes (cents)", "late_over_early": "late T60 over early T60"}
+# Text of a column of the table, from the number of a key and the key.
+Cell = Callable[[int, Key], str]
+# Columns by title.
+STRING_COLUMNS: dict[str, Cell] = {
+    "f₀, Hz": lambda _, key: f"{key.note.f0:.2f}",
+    "B": lambda _, key: number(key.values["B"].value, 3),
+    "b₁, 1/s": lambda _, key: number(key.note.string.b1, 3),
+    "b₂, m²/s": lambda _, key: number(key.note.string.b2, 3),
+    "M<sub>S</sub>, g": lambda _, key: number(1e3 * key.note.geometry.mass, 3),
+    "x₀/L": lambda _, key: number(key.values["x0/L"].value, 3),
+}
+HAMMER_COLUMNS: dict[str, Cell] = {
+    "M<sub>H</sub>, g": lambda _, key: number(1e3 * key.note.hammer.M_H, 3),
+    "u, mm": lambda midi, _: number(1e3 * law_compression(midi), 3),
+    "F, N": lambda _, key: number(key.values["F/M_S"].value * key.note.geometry.mass, 3),
+    "F/M<sub>S</sub>, N/kg": lambda _, key: number(key.values["F/M_S"].value, 3),
+    "K<sub>H</sub>, N/m<sup>p</sup>": lambda _, key: number(key.note.hammer.K_H, 3),
+    "p": lambda _, key: f"{key.note.hammer.p:.3f}",
+    "μ, s/m": lambda _, key: number(key.note.hammer.mu, 2),
+}
+FIT_COLUMNS: dict[str, Cell] = {
+    "recordings": lambda _, key: str(key.fit.recordings) if key.fit else "–",
+    "levels, dB": lambda _, key: "–" if not key.fit or key.fit.levels_db is None else f"{key.fit.levels_db:.2f}",
+}
 
 
 def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
@@ -59,7 +83,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         beyond=instrument.beyond_strings,
         states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
         unit=instrument.law.hammer_parameters[instrument.law.size].unit,
-        columns=[title for title, _ in _columns(instrument)],
+        columns=[*_columns(instrument)],
         figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
         rows=[_row(midi, key, instrument) for midi, key in instrument.keys.items()],
         loudest=f"{LOUDEST_VELOCITY:g}",
@@ -69,48 +93,17 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
     )
 
 
-def _columns(instrument: Instrument) -> list[tuple[str, Callable[[int, Key], str]]]:
-    """Titles of the columns of numbers, and their cells."""
-    string: list[tuple[str, Callable[[int, Key], str]]] = [
-        ("f₀, Hz", lambda _, key: f"{key.note.f0:.2f}"),
-        ("B", lambda _, key: number(key.values["B"].value, 3)),
-        ("b₁, 1/s", lambda _, key: number(key.note.string.b1, 3)),
-        ("b₂, m²/s", lambda _, key: number(key.note.string.b2, 3)),
-        ("M<sub>S</sub>, g", lambda _, key: number(1e3 * key.note.geometry.mass, 3)),
-        ("x₀/L", lambda _, key: number(key.values["x0/L"].value, 3)),
-    ]
-    return (
-        string
-        + (_hammer_columns() if instrument.law.key_quantities else [])
-        + [
-            ("recordings", lambda _, key: str(key.fit.recordings) if key.fit else "–"),
-            (
-                "levels, dB",
-                lambda _, key: "–" if not key.fit or key.fit.levels_db is None else f"{key.fit.levels_db:.2f}",
-            ),
-        ]
-    )
-
-
-def _hammer_columns() -> list[tuple[str, Callable[[int, Key], str]]]:
-    return [
-        ("M<sub>H</sub>, g", lambda _, key: number(1e3 * key.note.hammer.M_H, 3)),
-        ("u, mm", lambda midi, _: number(1e3 * law_compression(midi), 3)),
-        ("F, N", lambda _, key: number(key.values["F/M_S"].value * key.note.geometry.mass, 3)),
-        ("F/M<sub>S</sub>, N/kg", lambda _, key: number(key.values["F/M_S"].value, 3)),
-        ("K<sub>H</sub>, N/m<sup>p</sup>", lambda _, key: number(key.note.hammer.K_H, 3)),
-        ("p", lambda _, key: f"{key.note.hammer.p:.3f}"),
-        ("μ, s/m", lambda _, key: number(key.note.hammer.mu, 2)),
-    ]
+def _columns(instrument: Instrument) -> dict[str, Cell]:
+    """Cells of the columns of numbers, by title."""
+    return STRING_COLUMNS | (HAMMER_COLUMNS if instrument.law.key_quantities else {}) | FIT_COLUMNS
 
 
 def _row(midi: int, key: Key, instrument: Instrument) -> dict[str, Any]:
-    cells = [cell(midi, key) for _, cell in _columns(instrument)]
     moved = [f"{name} {x.own_fit.z:+.1f}" for name, x in key.values.items() if x.own_fit and abs(x.own_fit.z) > NAMED_Z]
     return {
         "note": midi_to_note(midi),
         "state": key.state,
-        "cells": cells,
+        "cells": [cell(midi, key) for cell in _columns(instrument).values()],
         "moved": ", ".join(moved),
         "is_recorded": key.fit is not None,
     }

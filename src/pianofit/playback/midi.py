@@ -197,8 +197,8 @@ def _add_missing_ends(events: list[_KeyEvent]) -> list[_KeyEvent]:
     """Events of one key in one channel, with an end added for every stroke that has none.
 
     Such a stroke ends at a stray note-off of the same time, which is a note without length whose end was written first.
-    Otherwise it ends at the next stroke of the key in this channel. A stroke with neither is held to
-    the end of the song.
+    Otherwise it ends at the next stroke of the key in this channel. A stroke with neither is held to the end of the
+    song.
     """
     open_strokes: list[int] = []
     stray_times = set[float]()
