@@ -103,10 +103,6 @@ class _System(NamedTuple):
     inverse: np.ndarray  # of the covariance of the fits [n, n]
     solved: np.ndarray  # inverse times the deviations of the fits from the literature [n]
 
-    def blocks(self, data: _Data) -> np.ndarray:
-        """The inverse as [quantities, keys, quantities, keys]."""
-        return self.inverse.reshape(*data.y.shape, *data.y.shape)
-
 
 class _Model(NamedTuple):
     """Spreads and priors of all quantities."""
@@ -272,7 +268,8 @@ def _solve(data: _Data, model: _Model) -> _System:
 
 def _observed(system: _System, data: _Data, model: _Model, q: int) -> Observed:
     """Values of one quantity given all others: the errors of a fit are correlated."""
-    own = np.linalg.inv(system.blocks(data)[q, :, q])
+    blocks = system.inverse.reshape(*data.y.shape, *data.y.shape)  # [quantities, keys, quantities, keys]
+    own = np.linalg.inv(blocks[q, :, q])
     y = own @ system.solved.reshape(data.y.shape)[q]
     return Observed(data.x, y, own - _spread(data.x, model, q), model.weights[q])
 
