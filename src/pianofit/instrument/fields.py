@@ -21,12 +21,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, get_lapack_funcs
 from scipy.optimize import minimize
 
-# Priors of the spreads, lengths over frequency and length over keys: medians and standard deviation of the logarithm.
-# Spreads are relative to that of the measured values. All are wide: what the keys of an instrument share is measured.
-MEDIANS = {
-    "common_sd": 0.5, "common_octaves": 0.7, "trend_sd": 0.5, "trend_keys": 20.0,
-    "drift_sd": 0.5, "drift_octaves": 0.5, "drift_keys": 6.0, "residual": 0.5,
-}  # fmt: skip
+# Standard deviation of the logarithms of spreads and lengths in their priors. It is wide: what the keys of an
+# instrument share is measured.
 FACTOR = 0.6
 SPREADS = ("common_sd", "trend_sd", "drift_sd", "residual")
 # Most points from which spreads and lengths are estimated. All points take part in predictions.
@@ -56,16 +52,19 @@ class FieldPoints(NamedTuple):
 
 
 class FieldShape(NamedTuple):
-    """Spreads and lengths of a field."""
+    """Spreads and lengths of a field.
 
-    common_sd: float
-    common_octaves: float
-    trend_sd: float
-    trend_keys: float
-    drift_sd: float
-    drift_octaves: float
-    drift_keys: float
-    residual: float
+    The defaults are the medians of the priors, with spreads relative to that of the measured values.
+    """
+
+    common_sd: float = 0.5
+    common_octaves: float = 0.7
+    trend_sd: float = 0.5
+    trend_keys: float = 20.0
+    drift_sd: float = 0.5
+    drift_octaves: float = 0.5
+    drift_keys: float = 6.0
+    residual: float = 0.5
 
     def covariance(self, a: FieldPoints, b: FieldPoints) -> np.ndarray:
         """Covariance of the smooth part between points."""
@@ -109,7 +108,7 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
     y = y / scale
     octaves = (points.octave[:, None] - points.octave) ** 2
     keys = (points.key[:, None] - points.key) ** 2
-    centre = np.log(list(MEDIANS.values()))
+    centre = np.log(FieldShape())
     potri: Any = get_lapack_funcs("potri", (octaves,))
 
     def cost(log_shape: np.ndarray) -> tuple[float, np.ndarray]:
