@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import FitError
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.files import MAX_CHANNELS, encode_pcm, read_file
 from ..model.modal_response import ModalResponse, VelocityGain
 from .decode import Number
