@@ -11,8 +11,8 @@ from bad_files import RATE, encoded, note
 
 from pianofit.analysis import analyse
 from pianofit.errors import RecordingError
-from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
-from pianofit.io.containers import SOUNDS, audio_of
+from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, layout_of
+from pianofit.io.containers import SOUNDS, audio_of, is_sound
 from pianofit.recording.recording import load_recording, recording_from_samples
 from pianofit.result.warnings import mixed_format_warnings
 

@@ -18,8 +18,8 @@ from ..dsp.bands import Bands
 from ..dsp.exponential_fit import Exponentials, fit_exponentials
 from .baseband_fit import FittedBands, fit_bands, has_drifted
 
-_WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
-_REFERENCE = 1  # index of the window that defines f0
+FREQUENCY_WINDOW = (0.2, 1.0)  # s after the onset; it defines f0
+_WINDOWS = ((0.0, 0.35), FREQUENCY_WINDOW, (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 # A glide is detected if the pitch changes by more than both.
 _SIGNIFICANT = 4.0  # standard errors
 _LEAST_GLIDE = 0.01  # cents; sounds of constant pitch without noise move by less, due to leakage between bands
@@ -40,12 +40,12 @@ class PitchGlide(NamedTuple):
 
     def relative_deviation(self, t: np.ndarray) -> np.ndarray:
         """Relative deviation of a partial from its frequency at t, s after the onset."""
-        mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
+        mean = _mean(FREQUENCY_WINDOW, self.tau)
         return self.start_cents / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
 
     def phase_advance_s(self, t: np.ndarray) -> np.ndarray:
         """Integral of the relative deviation, s: the advance of the phase over that of a constant pitch."""
-        mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
+        mean = _mean(FREQUENCY_WINDOW, self.tau)
         return self.start_cents / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
 
 
@@ -71,7 +71,7 @@ def glide_windows(fitted: FittedBands) -> list[Window]:
         spans.append((start, float(min(stop, end + bands.window / 2))))
     rows = []
     for span, row in zip(spans, shift, strict=True):
-        moved = row - shift[_REFERENCE]
+        moved = row - shift[_WINDOWS.index(FREQUENCY_WINDOW)]
         moved = moved[np.isfinite(moved)]
         if len(moved):
             middle = float(np.median(moved))
@@ -112,7 +112,7 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
     return best, _fit_glide(spans, total, errors), max(error, relative * max(abs(row[2]) for row in windows))
 
 
-def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
+def _mean(span: tuple[float, float], tau: np.ndarray | float) -> np.ndarray:
     """Mean of exp(-t/τ) over a window."""
     start, stop = span
     return tau * (np.exp(-start / tau) - np.exp(-stop / tau)) / (stop - start)
@@ -125,11 +125,11 @@ def _fit_glide(spans: list[tuple[float, float]], cents: np.ndarray, errors: np.n
     out, above their standard errors.
     """
     tau = np.geomspace(0.05, 5.0, 1000)  # s
-    moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
+    moved = np.stack([_mean(span, tau) - _mean(FREQUENCY_WINDOW, tau) for span in spans])
     size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
     misfit = ((cents[:, None] - size * moved) ** 2).sum(axis=0) + (errors**2).sum() + _ROUNDING**2
     best = int(np.argmin(len(spans) * np.log(misfit) + (np.log(tau / _TAU) / _TAU_SD) ** 2))
-    return PitchGlide(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
+    return PitchGlide(float(size[best] * (1 - _mean(FREQUENCY_WINDOW, tau[best]))), float(tau[best]))
 
 
 def _compensation(bands: Bands, fit: Exponentials, glide: PitchGlide) -> NDArray[np.complex128]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -85,19 +86,13 @@ def local_deviation(detected: np.ndarray, deviation: np.ndarray, k: np.ndarray) 
 def median_line(x: list[float], y: list[float], at: float) -> float:
     """Value at `at` of a line through a few points, with the median of their slopes, and extrapolated by their range.
 
-    For so few numbers Python is five times as fast as NumPy.
+    For so few numbers the standard library is faster than NumPy.
     """
     points = list(zip(x, y, strict=True))
-    slope = _middle([(y2 - y1) / (x2 - x1) for i, (x1, y1) in enumerate(points) for x2, y2 in points[i + 1 :]])
+    slope = median([(y2 - y1) / (x2 - x1) for i, (x1, y1) in enumerate(points) for x2, y2 in points[i + 1 :]])
     low, high = min(x), max(x)
     at = min(max(at, 2 * low - high), 2 * high - low)
-    return _middle([y1 + slope * (at - x1) for x1, y1 in points])
-
-
-def _middle(values: list[float]) -> float:
-    """Median of a list."""
-    ordered, size = sorted(values), len(values)
-    return 0.5 * (ordered[(size - 1) // 2] + ordered[size // 2])
+    return median([y1 + slope * (at - x1) for x1, y1 in points])
 
 
 def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
@@ -109,7 +104,7 @@ def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
     n = len(residual)
     if n <= dof:
         return 0.0
-    return math.sqrt(max(_middle((residual**2 * (n / (n - dof)) / 0.6745**2 - error**2).tolist()), 0.0))
+    return math.sqrt(max(median((residual**2 * (n / (n - dof)) / 0.6745**2 - error**2).tolist()), 0.0))
 
 
 def _huber(standardised: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from ..errors import AnalysisError, ParameterError, check_type
 # Largest difference in pitch between recordings of one key, cents; the next key is 100 away.
 SAME_KEY_CENTS = 40.0
 HIGHEST_MIDI = 127  # highest note number of the MIDI standard
-_STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 _NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
 _EVERY = re.compile(r"every\s+([1-9]\d?)")
@@ -41,7 +40,7 @@ def note_to_midi(name: str | int) -> int:
             f"from 0 to {HIGHEST_MIDI}"
         )
     letter, shift, octave = match.groups()
-    return 12 * (int(octave) + 1) + _STEPS[letter.upper()] + _SHIFT[shift]
+    return 12 * (int(octave) + 1) + _NAMES.index(letter.upper()) + _SHIFT[shift]
 
 
 def note_to_hz(name: str | int) -> float:

@@ -35,11 +35,11 @@ from .analysis_result import Partials
 from .baseband_fit import ExponentialFit, FittedBands, has_drifted, measure_levels
 from .beating_partials import Components, resolve_components
 from .envelope_slopes import Slopes, early_and_late
+from .glide import FREQUENCY_WINDOW
 from .inharmonicity import DecayLaw, decay_law
 
 LEAST_SNR = 14.0  # dB; a partial below it is rejected
 
-FREQUENCY_WINDOW = (0.2, 1.0)  # s
 # 1/s, largest difference between the poles of the first window and of the whole recording; beyond, another sound.
 _REACH = 20.0
 _DEEP = 1.5  # dB rms, above which a partial counts as beating

@@ -20,9 +20,11 @@ import msgspec
 
 from .. import __version__
 from ..errors import RecordingError
+from ..io.audio import layout_of
+from ..io.containers import is_sound, readable_formats
 from ..io.files import printable, read_file
 from ..io.number_format import counted
-from ..recording.recording import MAX_BYTES, is_sound, layout_of, readable_formats
+from ..recording.recording import MAX_BYTES
 from .library_files import files_in, first_of
 from .manifest import Key, Role, Sample
 

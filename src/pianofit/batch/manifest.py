@@ -22,10 +22,10 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch
 from ..conversions import MIDI_VELOCITIES, hertz_of
 from ..errors import AnalysisError, SetupError
+from ..io.containers import is_sound, readable_formats
 from ..io.files import printable, read_text
 from ..io.number_format import counted
 from ..parameters import PARAMETERS
-from ..recording.recording import is_sound, readable_formats
 from .library_files import MAX_RECORDINGS, Row, files_in, find_file, first_of
 from .name_pattern import expression_of, guess_pattern, midi_number_offset, role_in
 from .sfz import sfz_rows

@@ -15,20 +15,20 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..analysis import Analysis
 from ..errors import ParameterError, check_range, check_type
 from ..felt.hunt_crossley import HUNT_CROSSLEY, POWER
 from ..fitting import check_arguments, given_setup, read_and_analyse
 from ..inference import InitialValues, starting_values
-from ..parameters import FIT_NAMES, Hammer, String
+from ..parameters import FIT_NAMES
 from ..progress import Progress, progress_bar
 from ..recording.recording import Recording, Source
 from ..result import Result
 from ..setup import Setup, recording_info_for
 from .point_estimate import point_result
-from .search import ALL, make_search, split
+from .search import ALL, SearchResult, make_search, split
 
 METHODS = ("paper", "global")
 # Evaluations of the annealing: default,
@@ -48,17 +48,6 @@ NO_INTERVALS = (
 FELT_UNKNOWN = (
     " One uncalibrated recording does not identify the felt: its gain was free, and no output path was fitted."
 )
-
-
-class SearchResult(NamedTuple):
-    """End of a search."""
-
-    string: String
-    hammer: Hammer
-    delay: float  # s, from the hammer's first contact to the recording's onset
-    converged: bool
-    evaluations: int
-    at_bound: tuple[str, ...]  # names of parameters that ended at a bound of the box
 
 
 def fit(
@@ -102,16 +91,7 @@ def fit(
         start = starting_values(analysis, setup, velocity)
         found = search_parameters(sound, analysis, start, method, evaluations=evaluations, seed=seed, progress=report)
         opening = OPENING[method] + (FELT_UNKNOWN if start.scale is None else "")
-        return point_result(
-            sound,
-            analysis,
-            start,
-            **found._asdict(),
-            recipe=method,
-            seed=seed,
-            opening=opening,
-            messages=(NO_INTERVALS,),
-        )
+        return point_result(sound, analysis, start, found, method, seed, opening, NO_INTERVALS)
 
 
 def _check_method(method: str, evaluations: int | None) -> None:

@@ -23,34 +23,27 @@ from ..result.warnings import AT_BOUND, NOT_CONVERGED
 from ..schema.diagnostics import Diagnostics
 from ..schema.fit import Criterion, Fit, package_versions
 from ..schema.quantities import Quantities, Status
+from .search import SearchResult
 
 
 def point_result(
     recording: Recording,
     analysis: Analysis,
     start: InitialValues,
-    string: String,
-    hammer: Hammer,
-    *,
+    found: SearchResult,
     recipe: str,
     seed: int,
-    delay: float,
-    converged: bool,
-    evaluations: int,
-    at_bound: Sequence[str],
     opening: str,
-    messages: Sequence[str],
+    message: str,
 ) -> Result:
-    """Return the `Result` at `string` and `hammer`.
+    """Return the `Result` at the end of a search.
 
     Parameters
     ----------
-    delay : time from the hammer's first contact to the recording's onset, s.
-    at_bound : names of parameters that ended at a search bound.
-    opening, messages : statements about the search itself.
+    opening, message : statements about the search itself.
     """
     comparison, values = RecordingComparison.of(recording, analysis, start.scale), start.values | start.initial
-    begins = None if start.scale is None else recording.onset - round(delay * recording.rate)
+    begins = None if start.scale is None else recording.onset - round(found.delay * recording.rate)
     first = Note(
         String(*(values[n] for n in String._fields)),
         Hammer(*(values[n] for n in Hammer._fields)),
@@ -61,19 +54,19 @@ def point_result(
     )
     before, after = (
         comparison.render(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
-        for note in (first, first._replace(string=string, hammer=hammer))
+        for note in (first, first._replace(string=found.string, hammer=found.hammer))
     )
     compared = comparison.compare(before, after, comparison.level_errors(before.level, after.level))
-    parameters = _parameters(start, (*string, *hammer), values, at_bound)
+    parameters = _parameters(start, (*found.string, *found.hammer), values, found.at_bound)
     record = record_of(compared, parameters["v_H0"], start.scale is not None)
     fit = Fit(
         recipe=recipe,
         felt=start.law.name,
         seed=seed,
-        converged=converged,
+        converged=found.converged,
         identifiability_statement=opening,
         warnings=(
-            *_statements(compared.criterion, converged, at_bound, messages),
+            *_statements(compared.criterion, found, message),
             *recording.warnings,
             *analysis.warnings,
         ),
@@ -85,24 +78,23 @@ def point_result(
         derived=derived_of(compared),
         criterion=compared.criterion,
         levels=compared.levels,
-        diagnostics=Diagnostics(evaluations, len(analysis.partials)),
+        diagnostics=Diagnostics(found.evaluations, len(analysis.partials)),
         versions=package_versions(),
     )
     return with_derived(Result(fit, (compared,), ((after.note,),)))
 
 
-def _statements(criterion: Criterion, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
+def _statements(criterion: Criterion, found: SearchResult, message: str) -> list[str]:
     """Warnings about the result."""
     worse = worse_bands(criterion)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion.excluded_bands]
-    statements = [*([] if converged else [NOT_CONVERGED]), *messages]
-    statements += [f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}."] * bool(
-        worse
-    )
-    statements += [AT_BOUND.format(", ".join(at_bound))] * bool(at_bound)
-    statements += [f"No partial above the noise in {' and '.join(missing)}. The next band was used instead."] * bool(
-        missing
-    )
+    statements = [message] if found.converged else [NOT_CONVERGED, message]
+    if worse:
+        statements.append(f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}.")
+    if found.at_bound:
+        statements.append(AT_BOUND.format(", ".join(found.at_bound)))
+    if missing:
+        statements.append(f"No partial above the noise in {' and '.join(missing)}. The next band was used instead.")
     return statements
 
 

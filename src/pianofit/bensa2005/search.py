@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +67,17 @@ HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n
 ITERATIONS = 60
 TOLERANCE = 1e-7
 CHAINS = 32
+
+
+class SearchResult(NamedTuple):
+    """End of a search."""
+
+    string: String
+    hammer: Hammer
+    delay: float  # s, from the hammer's first contact to the recording's onset
+    converged: bool
+    evaluations: int
+    at_bound: tuple[str, ...]  # names of parameters that ended at a bound of the box
 
 
 @dataclass

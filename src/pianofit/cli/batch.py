@@ -22,7 +22,7 @@ from ..errors import PianofitError, SetupError, check_range
 from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
-from ..recording.recording import check_channel
+from ..recording.measurements import check_channel
 from ..setup import SETUP_KEYS, Setup
 from .fits import setup_of_options
 from .options import (

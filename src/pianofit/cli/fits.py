@@ -12,6 +12,7 @@ import typer
 from ..conversions import HALF_WIDTH_95
 from ..errors import OutputError, ParameterError, SetupError
 from ..excitation import STROKES
+from ..io.containers import readable_formats
 from ..io.files import (
     check_sound_target,
     check_target,
@@ -25,7 +26,7 @@ from ..io.files import (
 from ..io.number_format import columns, counted, format_with_interval, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording.recording import load_recording, load_recordings, readable_formats
+from ..recording.recording import load_recording, load_recordings
 from ..setup import SETUP_KEYS, Setup
 from . import options
 from .options import choice, integer, real, text

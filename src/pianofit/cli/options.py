@@ -15,7 +15,7 @@ import typer
 from ..errors import check_range
 from ..excitation import HAMMER, NAMES
 from ..felt import DEFAULT_LAW, LAWS
-from ..recording.recording import readable_formats
+from ..io.containers import readable_formats
 from ..threads import MAX_PROCESSES, cores
 from ..transducer import QUANTITIES
 from .terminal import bare

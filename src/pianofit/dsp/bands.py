@@ -28,20 +28,13 @@ KAISER_NULL = float(np.hypot(BETA, np.pi) / np.pi)  # first zero of G, in units 
 
 def kaiser_gain(s: np.ndarray, seconds: float) -> NDArray[np.complex128]:
     """G(s) = sinhc(√(β² + (sT/2)²)) / sinhc(β) of a Kaiser window of length T = `seconds` at `s`, 1/s."""
-    return _kaiser(s * (seconds / 2))
+    root = np.sqrt(BETA**2 + np.asarray(s * (seconds / 2), complex) ** 2)
+    return np.sinh(root) / root * (BETA / np.sinh(BETA))
 
 
 def hann_gain(s: np.ndarray, seconds: float) -> NDArray[np.complex128]:
     """G(s) = sinc(u) / (1 − u²), u = sT/2πj, of a Hann window of length T = `seconds` at `s`, 1/s."""
-    return _hann(s * seconds / (2j * np.pi))
-
-
-def _kaiser(x: np.ndarray) -> NDArray[np.complex128]:
-    root = np.sqrt(BETA**2 + np.asarray(x, complex) ** 2)
-    return np.sinh(root) / root * (BETA / np.sinh(BETA))
-
-
-def _hann(u: np.ndarray) -> np.ndarray:
+    u = s * seconds / (2j * np.pi)
     with np.errstate(all="ignore"):
         return np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
 
@@ -106,7 +99,7 @@ def kaiser_bands(samples: np.ndarray, rate: int, centre: np.ndarray, spacing: fl
     width = rate / size
     count = fast_length(2 * max(4, int(1.3 * spacing / width)))
     offset = np.arange(count) - count // 2
-    weight = _kaiser(1j * np.pi * offset * width * window).real
+    weight = kaiser_gain(2j * np.pi * offset * width, window).real
     middle = np.round(centre / width).astype(int)
     # Frames begin at the same time for recordings of any length, so that a beat changes a sum of frames equally in all.
     begin, frame_rate = skip + window / 2, count * width
@@ -126,7 +119,7 @@ def hann_band(spectrum: np.ndarray, samples: int, rate: float, centre: float, se
     """
     reach = int(np.ceil(2.0 / seconds * samples / rate))
     middle, offset = round(centre * samples / rate), np.arange(-reach, reach + 1)
-    weight = _hann(((middle + offset) * rate / samples - centre) * seconds)
+    weight = hann_gain(2j * np.pi * ((middle + offset) * rate / samples - centre), seconds).real
     count = fast_length(2 * reach + 1, real=False)
     time = np.arange(count) * (samples / rate) / count
     rotation = np.exp(2j * np.pi * (middle * rate / samples - centre) * time)

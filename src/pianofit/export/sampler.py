@@ -21,7 +21,7 @@ from ..conversions import DB
 from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.files import cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import CHANNELS, StringVoice
 from ..threads import one_blas_thread

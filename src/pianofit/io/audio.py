@@ -16,21 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import RecordingError
-from .containers import RATES, RESAVE, SOUNDS, audio_of, check_layout, is_sound, readable_formats
+from .containers import RESAVE, audio_of, check_layout
 from .files import printable
-
-__all__ = [
-    "LOSSY",
-    "RATES",
-    "SOUNDS",
-    "STEPS",
-    "Layout",
-    "check_layout",
-    "decode",
-    "is_sound",
-    "layout_of",
-    "readable_formats",
-]
 
 STEPS = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31}  # quantiser steps; full scale = 1
 EXACT = (*STEPS, "FLOAT", "DOUBLE")

@@ -129,9 +129,8 @@ def check_layout(channels: int, rate: float, frames: int) -> None:
 
 def _kind(data: bytes) -> Callable[[bytes], bytes] | None:
     """The function that checks this container; None for an unsupported format."""
-    riff = {b"RIFF": _wav, b"RF64": _wav, b"BW64": _wav}.get(data[:4])
-    if riff and data[8:12] == b"WAVE":
-        return riff
+    if data[:4] in (b"RIFF", b"RF64", b"BW64") and data[8:12] == b"WAVE":
+        return _wav
     if data[:4] == b"FORM" and data[8:12] in (b"AIFF", b"AIFC"):
         return _aiff
     if data[:16] == _guid(b"riff") and data[24:40] == _guid(b"wave"):

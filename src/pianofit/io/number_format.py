@@ -89,23 +89,23 @@ def format_with_interval(value: float, interval: Sequence[float] | None) -> tupl
     digits = _supported(value, interval)
     if digits is None:
         return f"{value:.3g}" if interval[0] < interval[1] else f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
-    place = digits - 1 - _exponent(value)  # decimals of the last digit
+    place = digits - 1 - exponent_of(value)  # decimals of the last digit
     return _to_place(value, place, value), f"[{', '.join(_to_place(end, place, value) for end in interval)}]"
 
 
 def format_like(other: float, value: float, interval: Sequence[float] | None) -> str:
     """Return `other` with the decimal place that `format_with_interval` gives `value`."""
     digits = _supported(value, interval) if interval and all(map(is_number, interval)) else None
-    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value), value)
+    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - exponent_of(value), value)
 
 
 def with_standard_error(value: float, error: float) -> tuple[str, str]:
     """Return `value` and its standard error for a terminal, to two significant digits of the error."""
     if not (is_number(error) and error > 0):
         return f"{value:.6g}" if math.isfinite(value) else "-", "-"
-    place = 1 - _exponent(error)
-    if value and _exponent(value) + place > MOST:
-        place = MOST - _exponent(value)
+    place = 1 - exponent_of(error)
+    if value and exponent_of(value) + place > MOST:
+        place = MOST - exponent_of(value)
     return _to_place(value, place, value), f"{error:.1e}" if _needs_power(error) else f"{error:.{max(0, place)}f}"
 
 
@@ -156,29 +156,29 @@ def _supported(value: float, interval: Sequence[float]) -> int | None:
     half = (high - low) / 2
     if not half > 0 or max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / WIDE_INTERVAL:
         return None
-    return min(MOST, max(FEWEST, _exponent(value) - _exponent(half) + 2))
+    return min(MOST, max(FEWEST, exponent_of(value) - exponent_of(half) + 2))
 
 
-def _exponent(value: float) -> int:
-    """Return the exponent of the leading digit, after rounding to two digits: 2 for 304.1."""
-    return int(f"{value:.1e}".split("e")[1])
+def exponent_of(value: float, decimals: int = 1) -> int:
+    """Return the exponent of the leading digit, after rounding of the mantissa to `decimals`: 2 for 304.1."""
+    return int(f"{value:.{decimals}e}".split("e")[1])
 
 
 def _needs_power(value: float) -> bool:
     """Return True if a value needs a power of ten."""
-    return not LOWEST_POWER < _exponent(value) < HIGHEST_POWER
+    return not LOWEST_POWER < exponent_of(value) < HIGHEST_POWER
 
 
 def _to_place(value: float, place: int, like: float) -> str:
     """Return `value` with `place` decimals, and with a power of ten if `like` needs one."""
-    power = _exponent(like) if _needs_power(like) or place < 0 else 0
+    power = exponent_of(like) if _needs_power(like) or place < 0 else 0
     text = f"{Decimal(value).scaleb(-power):.{max(0, place + power)}f}"
     return f"{text}e{power:+03d}" if power else text
 
 
 def _scale(value: float, digits: int, with_power: bool = False) -> tuple[int, int]:
     """Return the power of ten to factor out, and the decimals, for `digits` significant digits of `value`."""
-    exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
+    exponent = exponent_of(value, digits - 1) if value else 0
     power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER and not with_power else exponent
     return power, max(0, digits - 1 - exponent + power)
 

@@ -17,7 +17,7 @@ from decimal import Decimal
 from typing import NamedTuple
 
 from ..errors import ParameterError
-from ..io.number_format import SUPERSCRIPTS, format_with_interval
+from .number_format import SUPERSCRIPTS, exponent_of, format_with_interval
 
 SPEC = re.compile(r"(?P<pad>(?:.?[<>=^])?\d*)(?:\.(?P<digits>\d+))?(?P<u>u?)(?P<kind>[efg]?)(?P<style>[SLPp]*)")
 # Largest first three digits of an uncertainty written with two digits, and smallest that are rounded up to 1000.
@@ -61,11 +61,11 @@ def parse_format_spec(text: str) -> Spec:
 def format_with_sd(value: float, sd: float, spec: Spec) -> str:
     """Format `value` with its standard uncertainty; both finite, `sd` above 0."""
     if spec.digits is None and _first_three(sd) >= ROUNDED_UP_FROM:
-        sd = 10.0 ** (_exponent(sd, 2) + 1)
+        sd = 10.0 ** (exponent_of(sd, 2) + 1)
     place = _place(value, sd, spec)
     power = _power(value, sd, place, spec.kind)
     body = _joined(_fixed(value, power, place), _fixed(sd, power, place), spec.style, power)
-    return format(_with_power(body, power, spec.style), spec.pad)
+    return format(_superscript(f"{body}e{power:+03d}" if power else body, spec.style), spec.pad)
 
 
 def format_interval(value: float, ends: Sequence[float] | None, open_ends: Sequence[str], spec: Spec) -> str:
@@ -89,28 +89,23 @@ def _plain(value: float, spec: Spec) -> str:
 def _place(value: float, sd: float, spec: Spec) -> int:
     """The decimal place of the last digit: 3 for 2.277."""
     if spec.digits is None:
-        return (1 if _first_three(sd) <= TWO_DIGITS_UP_TO else 0) - _exponent(sd, 2)
+        return (1 if _first_three(sd) <= TWO_DIGITS_UP_TO else 0) - exponent_of(sd, 2)
     if spec.of_sd:
-        return spec.digits - 1 - _exponent(sd, spec.digits - 1)
+        return spec.digits - 1 - exponent_of(sd, spec.digits - 1)
     if spec.kind == "f":
         return spec.digits
     digits = spec.digits if spec.kind == "e" else max(spec.digits, 1) - 1
-    return digits - _exponent(max(abs(value), sd), digits)
+    return digits - exponent_of(max(abs(value), sd), digits)
 
 
 def _first_three(value: float) -> int:
     return int(f"{value:.2e}".replace(".", "").split("e")[0])
 
 
-def _exponent(value: float, decimals: int) -> int:
-    """Exponent of the leading digit, after rounding the mantissa to `decimals`."""
-    return int(f"{value:.{decimals}e}".split("e")[1])
-
-
 def _power(value: float, sd: float, place: int, kind: str) -> int:
     """The common power of ten; 0 if the numbers are written in full."""
     largest = max(abs(value), sd)
-    exponent = _exponent(largest, max(place + _exponent(largest, MOST_DIGITS), 0))
+    exponent = exponent_of(largest, max(place + exponent_of(largest, MOST_DIGITS), 0))
     if kind == "f" or (kind == "g" and exponent >= LOWEST_POWER and place >= 0):
         return 0
     return exponent
@@ -130,10 +125,6 @@ def _joined(value: str, sd: str, style: str, power: int) -> str:
     ends = (r"\left(", r"\right)") if "L" in style else ("(", ")")
     body = f"{value}{sign}{sd}"
     return f"{ends[0]}{body}{ends[1]}" if power or "p" in style else body
-
-
-def _with_power(body: str, power: int, style: str) -> str:
-    return _superscript(f"{body}e{power:+03d}", style) if power else body
 
 
 def _superscript(text: str, style: str) -> str:

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import RecordingError
+from ..io.containers import is_sound, readable_formats
 from ..io.files import printable, read_file
-from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
+from ..recording.recording import MAX_BYTES, Recording, load_recording
 from ..report.save import stroke_names
 from ..schema.fit import key_files, read_fit
 

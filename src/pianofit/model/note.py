@@ -15,7 +15,7 @@ from ..dsp.knock_band import centre, nodes
 from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import ParameterError, check_range
 from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES
 from ..threads import one_blas_thread

@@ -14,24 +14,11 @@ from numbers import Real
 import numpy as np
 
 from ..errors import ParameterError, RecordingError, check_type
-from ..io.audio import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
+from ..io.audio import LOSSY, STEPS, decode
+from ..io.containers import check_layout
 from ..io.files import printable, read_file, short_repr
 from .measurements import check_channel, count_clipped, noise_rms, offset, opposite_channels, select_channels
 from .onset import find_sounds
-
-__all__ = [
-    "MAX_FIRST_SAMPLE",
-    "Recording",
-    "Source",
-    "to_recording",
-    "check_channel",
-    "is_sound",
-    "layout_of",
-    "load_recording",
-    "load_recordings",
-    "readable_formats",
-    "recording_from_samples",
-]
 
 MAX_BYTES = 2**30
 MAX_FIRST_SAMPLE = 0.05  # first sample over the peak, above which the file begins inside the note, with a step

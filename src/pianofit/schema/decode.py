@@ -83,16 +83,12 @@ def convert(data: Any, kind: type[T], where: str, hint: str, error: type[Pianofi
 
 def builtins_of(record: Any) -> Any:
     """Return a record as dicts, lists, numbers and texts, as a file has it."""
-    return json.loads(_json(record))
+    return json.loads(encode_json(record))
 
 
 def encode_json(record: Any) -> bytes:
     """Return a record as indented JSON without NaN."""
-    return _json(record).encode()
-
-
-def _json(record: Any) -> str:
-    return json_text(msgspec.to_builtins(record, enc_hook=_encode))
+    return json_text(msgspec.to_builtins(record, enc_hook=_encode)).encode()
 
 
 def _encode(value: Any) -> Any:

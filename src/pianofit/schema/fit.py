@@ -21,7 +21,7 @@ from .. import __version__
 from ..errors import FitError
 from ..excitation import HAMMER, STROKES
 from ..felt import DEFAULT_LAW
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.files import path_name, printable, replace_paths, short_repr
 from ..key_prior import KeyPrior
 from ..model.output_path import OutputPath, VelocityDiscrepancy

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import FitError
-from ..io.audio import RATES
+from ..io.containers import RATES
 from ..io.files import MAX_CHANNELS, encode_pcm, read_file
 from ..model.modal_response import ModalResponse, VelocityGain
 from .decode import Number
@@ -122,8 +122,7 @@ class Knock:
         FitError
             If it is missing or is not a sound of that many channels.
         """
-        kind = "wav" if self.wav is not None else "flac"
-        text = self.wav if self.wav is not None else self.flac
+        kind, text = ("flac", self.flac) if self.wav is None else ("wav", self.wav)
         if folder is None or text is not None:
             path = f"{name}: modal_response.knock.{kind}"
             data = decode_base64(text, path)
@@ -160,10 +159,10 @@ class ModalResponseEntry:
         """
         pole, error, gain = response.pole, response.pole_error, response.velocity_gain
         modes = ModeTable(response.partial, np.imag(pole) / (2 * np.pi), -np.real(pole), error / (2 * np.pi), error)
-        flac = encode_knock(response, 16) if embed_knock else None
         scale = float(np.abs(response.knock).max(initial=0.0))
         knock = None
-        if scale and embed_knock and flac is not None:
+        if scale and embed_knock:
+            flac = encode_pcm(response.knock / scale, response.rate, "flac", 16)
             knock = Knock(scale, response.rate, flac=base64.b64encode(flac).decode())
         elif scale:
             knock = Knock(scale, response.rate, file=KNOCK_FILE)
@@ -215,10 +214,10 @@ class FittedModalResponse:
         return None if self.leave_one_out_db is None else self.leave_one_out_db.get(self.render_model)
 
 
-def encode_knock(response: ModalResponse, bits: int = 24) -> bytes | None:
-    """Return the knock, normalised to its largest sample, as FLAC; None if there is none."""
+def encode_knock(response: ModalResponse) -> bytes | None:
+    """Return the knock, normalised to its largest sample, as FLAC of 24 bits; None if there is none."""
     size = float(np.abs(response.knock).max(initial=0.0))
-    return encode_pcm(response.knock / size, response.rate, "flac", bits) if size else None
+    return encode_pcm(response.knock / size, response.rate, "flac") if size else None
 
 
 def decode_sound(data: bytes, kind: str, path: object, channels: int | None = None) -> tuple[np.ndarray, int]:
