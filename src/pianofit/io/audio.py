@@ -11,13 +11,14 @@ import itertools
 import os
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import RecordingError
 from .containers import RATES, RESAVE, SOUNDS, audio_of, check_layout, is_sound, readable_formats
-from .files import printable
+from .files import printable, read_file
 
 __all__ = [
     "LOSSY",
@@ -27,6 +28,7 @@ __all__ = [
     "Layout",
     "check_layout",
     "decode",
+    "decode_file",
     "is_sound",
     "layout_of",
     "readable_formats",
@@ -65,6 +67,15 @@ def decode(data: bytes) -> tuple[np.ndarray, int, str]:
     if len(frames) < layout.frames:
         raise RecordingError(f"is truncated: {len(frames)} of {layout.frames} samples; copy or export it again")
     return frames, layout.rate, layout.subtype
+
+
+def decode_file(path: Path, limit: int) -> tuple[np.ndarray, int, str]:
+    """Read a file of at most `limit` bytes and `decode` it. The message of an error begins with the file."""
+    data = read_file(path, limit, RecordingError)
+    try:
+        return decode(data)
+    except RecordingError as error:
+        raise RecordingError(f"{printable(path)}: {error}") from None
 
 
 def layout_of(data: bytes) -> Layout:
