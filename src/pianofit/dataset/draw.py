@@ -82,11 +82,9 @@ class NotePrior:
         if midi not in self._centres:
             self._centres[midi] = _Centre(self.source.notes[midi], midi, self.options)
         notes = self._centres[midi].draw(self.random(number, Stream.PARAMETERS, attempt), self.options.spread)
-        path = notes[0].path
-        if self.options.around is None and self.options.path:
+        path = notes[0].path if self.options.path else None
+        if self.options.path and self.options.around is None:
             path = draw_path(self.random(number, Stream.PATH))
-        elif not self.options.path:
-            path = None
         noise = noise_range(self.options)
         db = None if noise is None else float(self.random(number, Stream.NOISE).uniform(*noise))
         return DrawnNote(number, midi, tuple(note._replace(path=path) for note in notes), db)
