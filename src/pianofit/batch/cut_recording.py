@@ -5,25 +5,23 @@ The recording itself is not changed.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from ..analysis.strokes import BEFORE, Stroke, find_strokes
 from ..errors import RecordingError, SetupError
-from ..io.audio import decode
-from ..io.files import encode_pcm, output_folder, printable, read_file, replace_file
+from ..io.audio import decode_file
+from ..io.files import encode_pcm, output_folder, printable, replace_file
+from ..io.table_output import write_csv
 
 # Largest recording to cut, bytes: two hours of stereo of 24 bits at 48 kHz.
 LARGEST_LONG_RECORDING = 2**31
 LIST = "strokes.csv"
-FIELDS = ("note", "layer", "number")
 PATTERN = "{note}-L{layer}"
 # Letters that no file name has on every system.
 FORBIDDEN = '/\\:*?"<>|'
@@ -75,10 +73,10 @@ def cut_recording(
     SetupError
         For a pattern with other fields, or that names two strokes alike.
     """
-    frames, rate, kind = _read(path)
+    frames, rate, kind = decode_file(path, LARGEST_LONG_RECORDING)
     progress("listening", 0.0)
     strokes = find_strokes(frames.T, rate)
-    if not any(not stroke.doubt for stroke in strokes):
+    if all(stroke.doubt for stroke in strokes):
         raise RecordingError(f"{printable(path)}: no stroke with a pitch was found; give a recording of single notes")
     listed = _listed(strokes, rate, pattern)
     if out is None:
@@ -92,16 +90,8 @@ def cut_recording(
                 content = encode_pcm(frames[first : stroke.end].T, rate, "flac", BITS.get(kind, 24))
                 replace_file(folder / entry.file, content)
             progress("cutting", (i + 1) / len(strokes))
-        replace_file(folder / LIST, as_csv(listed).encode())
+        write_csv(folder / LIST, [field.name for field in fields(CutStroke)], [astuple(stroke) for stroke in listed])
     return listed
-
-
-def _read(path: Path) -> tuple[np.ndarray, int, str]:
-    data = read_file(path, LARGEST_LONG_RECORDING, RecordingError)
-    try:
-        return decode(data)
-    except RecordingError as error:
-        raise RecordingError(f"{printable(path)}: {error}") from None
 
 
 def _listed(strokes: list[Stroke], rate: int, pattern: str) -> list[CutStroke]:
@@ -137,18 +127,9 @@ def _named(pattern: str, note: str, layer: int, number: int) -> str:
     values = {"note": note, "layer": str(layer), "number": str(number)}
     name = re.sub(r"\{([^{}]*)\}", lambda field: values.get(field[1], field[0]), pattern)
     if "{" in name or "}" in name:
-        fields = ", ".join(f"{{{field}}}" for field in FIELDS)
-        raise SetupError(f"--pattern {pattern!r} must have no fields but {fields}")
+        allowed = ", ".join(f"{{{field}}}" for field in values)
+        raise SetupError(f"--pattern {pattern!r} must have no fields but {allowed}")
     if not name or name.startswith(".") or any(letter in name for letter in FORBIDDEN):
         letters = " ".join(FORBIDDEN)
         raise SetupError(f"--pattern {pattern!r} makes {name!r}, which cannot be a file name; leave out {letters}")
     return name
-
-
-def as_csv(listed: list[CutStroke]) -> str:
-    """Return the list as CSV."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(CutStroke.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: "" if v is None else v for k, v in asdict(entry).items()} for entry in listed)
-    return text.getvalue()

@@ -27,6 +27,7 @@ from ..analysis.note_names import note_to_midi
 from ..errors import OutputError
 from ..io.files import DISK_FULL, printable, replace_file
 from ..io.number_format import counted
+from ..schema.decode import encode_json
 from .job import Job, Settings, Source, UnusedFile
 
 RECORD = "record.json"
@@ -146,7 +147,7 @@ class Store:
         new, old, folder = self._unfinished / "new", self._unfinished / "old", self.keys / entry.key
         try:
             new.mkdir(parents=True)
-            for name, content in {**files, RECORD: _json(record)}.items():
+            for name, content in {**files, RECORD: encode_json(record)}.items():
                 with (new / name).open("xb") as file:
                     file.write(content)
                     file.flush()
@@ -209,7 +210,7 @@ class Store:
             if entry.state == "done":
                 file.unlink(missing_ok=True)
             else:
-                replace_file(file, _json(entry))
+                replace_file(file, encode_json(entry))
         except (OSError, OutputError) as error:
             reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
             raise self._write_error(reason) from error
@@ -226,10 +227,6 @@ class Store:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _json(entry: Entry) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(entry)) + b"\n"
 
 
 def _read(file: Path) -> Entry | None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ..analysis.note_names import cents_above, note_to_hz
 from ..errors import AnalysisError
+from ..io.number_format import counted
 from ..report.text import SYMBOLS
 from ..schema.fit import Fit
 from .records import Entry
@@ -75,7 +76,7 @@ def _warnings(entry: Entry, fit: Fit | None) -> Light:
     bound = [str(SYMBOLS.get(name, name)) for name, quantity in parameters.items() if quantity.status == "at-bound"]
     left_out = len(entry.left_out)
     warnings = [f"at a bound: {', '.join(bound)}"] * bool(bound)
-    warnings += [f"{left_out} recording{'s' * (left_out != 1)} left out"] * bool(left_out)
+    warnings += [f"{counted(left_out, 'recording')} left out"] * bool(left_out)
     count = len(bound) + left_out
     if fit is not None and not fit.converged:
         return Light("poor", "; ".join(["not converged", *warnings]), str(count + 1), NOT_CONVERGED_OFFSET + count)

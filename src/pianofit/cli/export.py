@@ -95,11 +95,8 @@ def export(
 
 def _given(ctx: typer.Context, names: Sequence[str]) -> list[str]:
     """Return those of some arguments that the command line states, with their values."""
-    return [f"{name}={ctx.params[name]!r}" for name in names if _source(ctx, name) == "COMMANDLINE"]
-
-
-def _source(ctx: typer.Context, name: str) -> str:
-    return getattr(ctx.get_parameter_source(name), "name", "")
+    sources = {name: getattr(ctx.get_parameter_source(name), "name", "") for name in names}
+    return [f"{name}={ctx.params[name]!r}" for name, source in sources.items() if source == "COMMANDLINE"]
 
 
 def _check_target(to: str, out: Path, given: list[str], force: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -192,22 +192,6 @@ def setup_of_options(
     return replace(setup, **given)
 
 
-@dataclass(frozen=True)
-class PredictionReport:
-    """The output of `predict --json`."""
-
-    file: str
-    sha256: str
-    in_training_set: bool
-    predicted_db: float
-    partials: int
-    stroke_parameter: str  # v_H0, m/s, or x0, m
-    stroke_value: float
-    at_search_limit: bool
-    gain_db: float
-    pitch_offset_cents: float
-
-
 def predict(
     fit: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="A fit.json, or its folder.")],
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
@@ -230,27 +214,27 @@ def predict(
         contact = estimate_contact_onset(p.note, strike, sound)
         samples = p.note.render_mono(strike, sound.rate, len(sound.samples), contact)
         write_file(out, encode_wav(samples, sound.rate), force)
-    was_fitted, at_limit = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}, p.at_search_limit
-    end = f", at the limit of the searched range: {p.stroke.name} could not be determined" if at_limit else ""
+    was_fitted = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}
+    end = f", at the limit of the searched range: {p.stroke.name} could not be determined" if p.at_search_limit else ""
     words = (
         f"{p.error_db:.2f} dB over {counted(p.partials, 'partial')}, {p.pitch_offset_cents:+.2f} cents from the fit, "
         f"at {p.stroke.name} = {p.stroke_value:.3g} {p.stroke.unit}{end}\n"
     )
     if was_fitted:
         words += "This recording took part in the fit, so this is not a prediction.\n"
-    report = PredictionReport(
-        sound.path,
-        sound.sha256,
-        was_fitted,
-        p.error_db,
-        p.partials,
-        p.stroke.name,
-        p.stroke_value,
-        at_limit,
-        p.gain_db,
-        p.pitch_offset_cents,
-    )
-    print_result(report, words, as_json)
+    info = {
+        "file": sound.path,
+        "sha256": sound.sha256,
+        "in_training_set": was_fitted,
+        "predicted_db": p.error_db,
+        "partials": p.partials,
+        "stroke_parameter": p.stroke.name,
+        "stroke_value": p.stroke_value,
+        "at_search_limit": p.at_search_limit,
+        "gain_db": p.gain_db,
+        "pitch_offset_cents": p.pitch_offset_cents,
+    }
+    print_result(info, words, as_json)
 
 
 def cross_validate(

@@ -82,11 +82,9 @@ class NotePrior:
         if midi not in self._centres:
             self._centres[midi] = _Centre(self.source.notes[midi], midi, self.options)
         notes = self._centres[midi].draw(self.random(number, Stream.PARAMETERS, attempt), self.options.spread)
-        path = notes[0].path
-        if self.options.around is None and self.options.path:
+        path = notes[0].path if self.options.path else None
+        if self.options.path and self.options.around is None:
             path = draw_path(self.random(number, Stream.PATH))
-        elif not self.options.path:
-            path = None
         noise = noise_range(self.options)
         db = None if noise is None else float(self.random(number, Stream.NOISE).uniform(*noise))
         return DrawnNote(number, midi, tuple(note._replace(path=path) for note in notes), db)
@@ -136,8 +134,10 @@ class _Centre:
         string, geometry = u.string(theta), u.geometry_at(theta)
         strike = geometry.strike_position
         geometry = geometry._replace(width=min(geometry.width, WITHIN * strike, WITHIN * (geometry.length - strike)))
-        note = replace_sound(self._note, float(string.c / self._note.string.c), self._options.modal_response)
-        note = note._replace(string=string, geometry=geometry)
+        response = self._note.modal_response if self._options.modal_response else None
+        if response is not None:
+            response = response.scale_pitch(float(string.c / self._note.string.c))
+        note = self._note._replace(string=string, geometry=geometry, modal_response=response)
         return [note._replace(hammer=u.hammer(theta, stroke)) for stroke in range(u.strokes)]
 
     def _string_changes(self, z: np.ndarray) -> np.ndarray:
@@ -154,12 +154,6 @@ def _values(note: Note) -> dict[str, float]:
     parts = {**note.string._asdict(), **note.hammer._asdict()}
     contact = {"x0": note.geometry.strike_position, "width": note.geometry.width}
     return {name: float(value) for name, value in (parts | contact).items()}
-
-
-def replace_sound(note: Note, ratio: float, modal_response: bool) -> Note:
-    """Return a note with its measured modes at another pitch, or without them."""
-    response = note.modal_response if modal_response else None
-    return note._replace(modal_response=None if response is None else response.scale_pitch(ratio))
 
 
 def draw_path(random: np.random.Generator) -> OutputPath:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +31,7 @@ KIND = "a fit.json or an instrument.json"
 class Source(NamedTuple):
     """Central notes of a data set by MIDI number, and the hash of their file."""
 
-    notes: Mapping[int, Note]
+    notes: dict[int, Note]
     sha256: str | None = None  # None for the literature
 
 
@@ -78,7 +77,7 @@ def load_source(options: NoteOptions) -> Source:
         If the file is neither a fit nor an instrument.
     """
     check_options(options)
-    around = Source(_Literature()) if options.around is None else _read(path_name(options.around))
+    around = Source(_literature()) if options.around is None else _read(path_name(options.around))
     own = around.notes
     if not (law := law_of(next(iter(own.values())).hammer)).has_contact:
         raise ParameterError(
@@ -107,30 +106,20 @@ def _midi(key: str | int) -> int:
     return midi
 
 
-class _Literature(Mapping[int, Note]):
-    """The literature's notes of a piano, made when they are asked for."""
-
-    def __iter__(self) -> Any:
-        return iter(range(LOWEST_KEY, HIGHEST_KEY + 1))
-
-    def __len__(self) -> int:
-        return HIGHEST_KEY - LOWEST_KEY + 1
-
-    def __getitem__(self, midi: int) -> Note:
-        return literature_note(midi)
+@lru_cache(maxsize=1)
+def _literature() -> dict[int, Note]:
+    """Return the literature's notes of a piano."""
+    return {midi: literature_note(midi) for midi in range(LOWEST_KEY, HIGHEST_KEY + 1)}
 
 
 @lru_cache(maxsize=1)  # a worker reads it for every block
 def _read(name: str) -> Source:
     """Read the notes of a fit or of an instrument."""
     path = Path(name)
-    file = path / INSTRUMENT_FILE
+    instrument = path / INSTRUMENT_FILE
+    file = instrument if instrument.is_file() else fit_path(path)
     if path.is_dir() and not file.is_file():
-        file = fit_path(path)
-        if not file.is_file():
-            raise OutputError(f"{printable(path)}: has neither a fit.json nor an instrument.json; give such a folder")
-    elif not path.is_dir():
-        file = path
+        raise OutputError(f"{printable(path)}: has neither a fit.json nor an instrument.json; give such a folder")
     digest = hashlib.sha256(read_file(file, LARGEST_INSTRUMENT, ParameterError)).hexdigest()
     content = load_json(file, Any, LARGEST_INSTRUMENT, KIND, f"give {KIND}")
     if isinstance(content, dict) and content.get("kind") == "instrument":

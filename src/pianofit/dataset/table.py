@@ -64,7 +64,7 @@ def labels_of(made: LabelledNote) -> dict[str, Any]:
     """Return the row of a sound by column. Numbers are floats in SI units."""
     note = made.note
     labels = {"number": made.number, "layer": made.layer, "key": midi_to_note(made.midi), "midi": made.midi}
-    labels |= {name: float(value) for name, value in {"f0": note.f0, "B": note.B}.items()}
+    labels |= {"f0": float(note.f0), "B": float(note.B)}
     labels |= {name: float(value) for part in (note.string, note.hammer) for name, value in part._asdict().items()}
     labels |= {name: float(getattr(note.geometry, field)) for name, field in SIZES.items()}
     onset = round(note.pre_onset_s * made.rate) / made.rate

@@ -20,7 +20,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -41,11 +41,6 @@ from .source import load_source
 from .table import columns_of
 
 TABLE, BLOCKS, ROWS, LOCK = "notes.csv", "blocks", "rows.csv", ".lock"
-FORMATS: dict[SoundFormat, str] = {
-    "flac": "FLAC of 24 bit",
-    "wav": "WAV of 32 bit floats",
-    "npz": "one NumPy archive a block",
-}
 # Limits of one process, and of one block in it: a block takes seconds.
 MEMORY, TIME_LIMIT = 3 * 2**30, 3600.0  # bytes, s
 POLL = 0.5  # s between two reports of progress
@@ -75,11 +70,8 @@ class _Block:
     """One block to make; a job of a process pool."""
 
     key: str
-    numbers: tuple[int, int]
-    seed: int
-    options: NoteOptions
-    format: SoundFormat
-    columns: tuple[Column, ...]
+    numbers: range
+    record: DatasetFile
 
 
 def write_dataset(
@@ -132,8 +124,8 @@ def write_dataset(
     check_seed(seed)
     check_type("processes=", processes, int, "a whole number of processes")
     check_range("processes=", processes, 1, MAX_PROCESSES)
-    if format not in FORMATS:
-        raise ParameterError(f"format={format!r} must be one of {', '.join(FORMATS)}")
+    if format not in (formats := get_args(SoundFormat)):
+        raise ParameterError(f"format={format!r} must be one of {', '.join(formats)}")
     path_name(folder)
     path, source = Path(folder), load_source(options)
     record = DatasetFile(
@@ -149,21 +141,19 @@ def write_dataset(
     _check_folder(path, record)
     with _locked(path), progress_bar(progress) as report:
         replace_file(path / DATASET_FILE, encode_json(record))
-        missing = [block for block in _blocks(record) if not _is_complete(path, block, options.layers)]
+        missing = [block for block in _blocks(record) if not _is_complete(path, block)]
         made = 0
         report("notes", 0.0)
         for block, files in _made(missing, processes, path):
             _commit(path, block.key, files)
-            made += len(range(*block.numbers))
-            report("notes", 1 - (sum(len(range(*b.numbers)) for b in missing) - made) / count)
+            made += len(block.numbers)
+            report("notes", 1 - (sum(len(b.numbers) for b in missing) - made) / count)
         _write_table(path, record)
     return DatasetSummary(str(path), count, count * options.layers, made, round(time.monotonic() - began, 3))
 
 
 def _blocks(record: DatasetFile) -> list[_Block]:
-    shared = record.seed, record.options, record.format, record.columns
-    numbers = blocks(record.count, record.options)
-    return [_Block(f"{i:05}", (own.start, own.stop), *shared) for i, own in enumerate(numbers)]
+    return [_Block(f"{i:05}", numbers, record) for i, numbers in enumerate(blocks(record.count, record.options))]
 
 
 # --- folder -----------------------------------------------------------------------------------------------------------
@@ -221,13 +211,13 @@ def _locked(path: Path) -> Iterator[None]:
         raise OutputError(f"{printable(path)}: another run writes this data set; wait for it") from None
 
 
-def _is_complete(path: Path, block: _Block, layers: int) -> bool:
+def _is_complete(path: Path, block: _Block) -> bool:
     """Return whether a block is there with all its notes: the last block of a smaller data set has fewer."""
     try:
         text = (path / BLOCKS / block.key / ROWS).read_text(encoding="utf-8")
     except OSError:
         return False
-    return text.count("\n") == 1 + layers * len(range(*block.numbers))
+    return text.count("\n") == 1 + block.record.options.layers * len(block.numbers)
 
 
 def _commit(path: Path, key: str, files: dict[str, bytes]) -> None:
@@ -285,24 +275,25 @@ def _work(block: _Block, *_: object) -> JobResult:
 
 def _files(block: _Block) -> dict[str, bytes]:
     """Return the content of all files of a block by name."""
-    prior = NotePrior(block.options, load_source(block.options), block.seed)
-    made = make_block(prior, range(*block.numbers))
-    names = [_name(one, block) for one in made]
-    files = _archive(made) if block.format == "npz" else _sounds(made, names, block.format)
+    record = block.record
+    prior = NotePrior(record.options, load_source(record.options), record.seed)
+    made = make_block(prior, block.numbers)
+    names = [_name(one, record) for one in made]
+    files = _archive(made) if record.format == "npz" else _sounds(made, names, record.format)
     text = io.StringIO()
-    table = csv.DictWriter(text, [column.name for column in block.columns], lineterminator="\n")
+    table = csv.DictWriter(text, [column.name for column in record.columns], lineterminator="\n")
     table.writeheader()
     folder = f"{BLOCKS}/{block.key}"
     table.writerows({"file": f"{folder}/{name}", **one.labels} for name, one in zip(names, made, strict=True))
     return files | {ROWS: text.getvalue().encode()}
 
 
-def _name(one: LabelledNote, block: _Block) -> str:
+def _name(one: LabelledNote, record: DatasetFile) -> str:
     """Return the name of the file of a sound."""
-    if block.format == "npz":
+    if record.format == "npz":
         return "notes.npz"
-    layer = f"-L{one.layer}" if block.options.layers > 1 else ""
-    return f"{one.number:07}{layer}.{block.format}"
+    layer = f"-L{one.layer}" if record.options.layers > 1 else ""
+    return f"{one.number:07}{layer}.{record.format}"
 
 
 def _sounds(made: list[LabelledNote], names: list[str], kind: str) -> dict[str, bytes]:

@@ -11,13 +11,14 @@ import itertools
 import os
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import RecordingError
 from .containers import RESAVE, audio_of, check_layout
-from .files import printable
+from .files import printable, read_file
 
 STEPS = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31}  # quantiser steps; full scale = 1
 EXACT = (*STEPS, "FLOAT", "DOUBLE")
@@ -52,6 +53,15 @@ def decode(data: bytes) -> tuple[np.ndarray, int, str]:
     if len(frames) < layout.frames:
         raise RecordingError(f"is truncated: {len(frames)} of {layout.frames} samples; copy or export it again")
     return frames, layout.rate, layout.subtype
+
+
+def decode_file(path: Path, limit: int) -> tuple[np.ndarray, int, str]:
+    """Read a file of at most `limit` bytes and `decode` it. The message of an error begins with the file."""
+    data = read_file(path, limit, RecordingError)
+    try:
+        return decode(data)
+    except RecordingError as error:
+        raise RecordingError(f"{printable(path)}: {error}") from None
 
 
 def layout_of(data: bytes) -> Layout:

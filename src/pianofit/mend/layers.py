@@ -26,7 +26,6 @@ class LayerLaw:
 
     slope: float  # per key
     at_zero: float
-    keys: int  # recorded ones
 
     def velocity(self, midi: int) -> float:
         """Return the hammer velocity at a key, m/s."""
@@ -40,13 +39,13 @@ def layer_laws(velocities: Mapping[str, Mapping[int, float]]) -> dict[str, Layer
         midi, log_v = np.array(list(by_key)), np.log(list(by_key.values()))
         degree = 1 if len(midi) >= FEWEST_FOR_SLOPE else 0
         slope, at_zero = np.polyfit(midi, log_v, degree) if degree else (0.0, log_v.mean())
-        laws[layer] = LayerLaw(float(slope), float(at_zero), len(midi))
+        laws[layer] = LayerLaw(float(slope), float(at_zero))
     return laws
 
 
 def missing_sounds(recorded: Mapping[str, Mapping[int, float]], keys: Sequence[int]) -> list[tuple[int, str]]:
     """List keys and layers without a recording: every layer that is usual among the recorded keys, on every key."""
-    known = set().union(*recorded.values()) if recorded else set()
+    known = set().union(*recorded.values())
     usual = [layer for layer, by_key in recorded.items() if len(by_key) >= LEAST_SHARE * len(known)]
     return [(midi, layer) for midi in keys for layer in usual if midi not in recorded[layer]]
 

@@ -21,7 +21,7 @@ from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError, RecordingError, SetupError, check_range
 from ..instrument import Instrument, find_fits, load_instrument
 from ..instrument.key_quantities import stroke_level
-from ..io.audio import decode
+from ..io.audio import decode_file
 from ..io.files import PEAK_LIMIT, encode_pcm, encode_wav, limit_peak, output_folder, printable, read_file, replace_file
 from ..io.table_output import write_csv
 from ..model.modal_response import PRE_ONSET_S
@@ -71,14 +71,13 @@ class MendOptions(NamedTuple):
     fill: bool = True
     keys: tuple[int, ...] | None = None
 
-    def check(self) -> MendOptions:
-        """Return the options, or raise a `ParameterError` for one out of range."""
+    def check(self) -> None:
+        """Raise a `ParameterError` for an option out of range."""
         check_range("tails=", self.tails, 0.0, 120.0, " s")
         check_range("even_levels=", self.even_levels, 0.0, 1.0)
         check_range("onsets=", self.onsets, 0.0, 1.0)
         for key in self.keys or ():
             check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
-        return self
 
 
 class _Library(NamedTuple):
@@ -95,10 +94,9 @@ class _Sound(NamedTuple):
     """A sound to write."""
 
     file: str
-    frames: np.ndarray | None  # [channels, samples]; None if the source is copied
+    content: np.ndarray | Path  # [channels, samples], or the file to copy
     rate: int
     bits: int
-    source: Path | None
     changes: list[Change]
 
 
@@ -147,10 +145,11 @@ def mend_library(
         )
     keys = [key for key in keys if prefix is None or key.instrument == prefix]
     root = (library if library.is_dir() else library.parent).resolve()
-    _check_places(library, root, [sample.file for _, sample in _notes(keys)])
+    files = [sample.file for _, sample in _notes(keys)]
+    _check_places(library, root, files)
     if out is not None:
-        _check_out(out, root, [sample.file for _, sample in _notes(keys)])
-    digests = _digests(keys)
+        _check_out(out, root, files)
+    digests = {file: hashlib.sha256(read_file(file, MAX_BYTES, RecordingError)).hexdigest() for file in files}
     fitted = {recording.sha256 for file in find_fits([fits], prefix) for recording in read_fit(file).recordings}
     if not fitted & {*digests.values()}:
         raise FitError(
@@ -168,12 +167,6 @@ def mend_library(
             changes += sound.changes
         write_csv(folder / LIST, [field.name for field in fields(Change)], [astuple(change) for change in changes])
     return changes, remarks
-
-
-def _digests(keys: Sequence[Key]) -> dict[Path, str]:
-    """SHA-256 of all recordings."""
-    files = [sample.file for _, sample in _notes(keys)]
-    return {file: hashlib.sha256(read_file(file, MAX_BYTES, RecordingError)).hexdigest() for file in files}
 
 
 def _read(keys: list[Key], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
@@ -262,12 +255,8 @@ class _Original(NamedTuple):
     @classmethod
     def read(cls, file: Path) -> _Original:
         """Read a file of a library."""
-        try:
-            frames, rate, subtype = decode(read_file(file, MAX_BYTES, RecordingError))
-        except RecordingError as error:
-            raise RecordingError(f"{printable(file)}: {error}") from None
-        kind = "flac" if file.suffix.lower() == ".flac" else "wav"
-        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS, kind)
+        frames, rate, subtype = decode_file(file, MAX_BYTES)
+        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS, _kind(file))
 
     @property
     def layout(self) -> tuple[int, int, int, str]:
@@ -306,7 +295,7 @@ def _mend(
         sound = sound[:, round(surplus * rate) :]
         add("onset", onset / rate, onset / rate - surplus, "s", "silence before it removed")
     if changes:
-        return _Sound(written, sound, rate, bits, sample.file, changes)
+        return _Sound(written, sound, rate, bits, changes)
     return _copied(library, key, sample, reason)
 
 
@@ -314,7 +303,7 @@ def _copied(library: _Library, key: Key, sample: Sample, reason: str) -> _Sound:
     """Return a file that is copied as it is."""
     place = _place(library.root, sample.file)
     unchanged = Change(place, key.note, sample.layer, "unchanged", None, None, "", reason)
-    return _Sound(place, None, 0, 0, sample.file, [unchanged])
+    return _Sound(place, sample.file, 0, 0, [unchanged])
 
 
 def _continuation(instrument: Instrument, midi: int, original: _Original, seconds: float) -> Continuation | str:
@@ -336,7 +325,12 @@ def _place(root: Path, file: Path) -> str:
 def _written(root: Path, file: Path) -> str:
     """Place of a changed recording, a FLAC or a WAV file."""
     place = Path(_place(root, file))
-    return place.as_posix() if place.suffix.lower() == ".flac" else place.with_suffix(".wav").as_posix()
+    return place.as_posix() if _kind(place) == "flac" else place.with_suffix(".wav").as_posix()
+
+
+def _kind(file: Path) -> str:
+    """Kind of the file to write for a recording."""
+    return "flac" if file.suffix.lower() == ".flac" else "wav"
 
 
 def _filled(
@@ -368,19 +362,16 @@ def _filled(
         detail += f", lowered by {-20 * np.log10(limited):.2f} dB to stay below full scale" * (limited < 1)
         place = f"{ADDED}/{name}.{kind}"
         change = Change(place, note, layer, "added", None, round(velocity, 3), "m/s", detail)
-        yield _Sound(place, np.broadcast_to(sound, (channels, sound.shape[-1])), rate, bits, None, [change])
+        yield _Sound(place, np.broadcast_to(sound, (channels, sound.shape[-1])), rate, bits, [change])
         progress("adding", (i + 1) / len(missing))
 
 
 def _write(folder: Path, sound: _Sound) -> None:
     file = folder / sound.file
     file.parent.mkdir(parents=True, exist_ok=True)
-    if sound.frames is None and sound.source is not None:
-        shutil.copyfile(sound.source, file)
-        return
-    kind = "flac" if file.suffix.lower() == ".flac" else "wav"
-    if sound.frames is not None:
-        if sound.bits == FLOAT_BITS and kind == "wav":
-            replace_file(file, encode_wav(sound.frames, sound.rate))
-        else:
-            replace_file(file, encode_pcm(sound.frames, sound.rate, kind, BITS))
+    if isinstance(sound.content, Path):
+        shutil.copyfile(sound.content, file)
+    elif sound.bits == FLOAT_BITS and _kind(file) == "wav":
+        replace_file(file, encode_wav(sound.content, sound.rate))
+    else:
+        replace_file(file, encode_pcm(sound.content, sound.rate, _kind(file), BITS))

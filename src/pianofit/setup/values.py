@@ -30,8 +30,9 @@ from .measured import MOST_RELATIVE_SD, Measured, relative_sd
 
 MAX_BYTES = 2**20
 
-# Lower, upper, unit. A piano's strings are 0.05 to 2.3 m long and weigh 0.1 to 300 g.
-RANGES: dict[str, tuple[float, float, str]] = {
+Range = tuple[float, float, str]  # lower, upper, unit
+# A piano's strings are 0.05 to 2.3 m long and weigh 0.1 to 300 g.
+RANGES: dict[str, Range] = {
     "length": (0.01, 5.0, "m"),
     "mass": (1e-6, 1.0, "kg"),
     "position": (1e-4, 5.0, "m"),
@@ -120,16 +121,16 @@ class Setup:
         checked: dict[str, Any] = {}
         for name, (table, key) in SETUP_KEYS.items():
             if key in RANGES and getattr(self, name) is not None:
-                checked[name] = _given(getattr(self, name), key, *RANGES[key], f"[{table}]")
+                checked[name] = _given(getattr(self, name), key, f"[{table}]", RANGES[key])
         _check_choice(self.pickup_quantity, QUANTITIES, "[pickup] quantity")
         _check_choice(self.excitation, NAMES, "[excitation] kind")
         _check_law(self.felt)
         if self.prior is not None:
             checked["prior"] = _key_prior(self.prior)
         boxes = ALL_PARAMETERS | self.law.hammer_parameters
-        for name, check in (("fixed", _given_parameter), ("initial", _parameter_value), ("bounds", _bounds)):
+        for name, check in (("fixed", _given), ("initial", _number), ("bounds", _bounds)):
             table = _table(name, getattr(self, name), tuple(boxes))
-            checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
+            checked[name] = {key: check(value, key, f"[{name}]", _range(boxes[key])) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
             raise SetupError(f"recordings = {_show(self.recordings)} must be a list of RecordingInfo")
         checked["recordings"] = tuple(_recording_info(entry, n) for n, entry in enumerate(self.recordings, 1))
@@ -250,8 +251,7 @@ def to_setup(given: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -
     """Return the setup that a caller gives: a `Setup`, tables as in a `setup.toml`, the path of one, or None."""
     if given is None or isinstance(given, Setup):
         return given or Setup()
-    check_type("setup=", given, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
-    return Setup.from_dict(given) if isinstance(given, Mapping) else Setup.from_toml(given)
+    return Setup.from_toml(given) if isinstance(given, str | os.PathLike) else Setup.from_dict(given)
 
 
 def _entries(name: str, content: object) -> Any:
@@ -296,8 +296,13 @@ def _show(value: object) -> str:
     return f'"{text}"' if isinstance(value, str) else text
 
 
-def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
+def _range(box: Parameter) -> Range:
+    return box.lower, box.upper, box.unit
+
+
+def _number(value: Any, key: str, where: str, allowed: Range) -> float:
     """Return a number within its range. Comparing before converting rejects integers too large for a float."""
+    lower, upper, unit = allowed
     if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
@@ -326,14 +331,14 @@ def _check_law(felt: object) -> None:
         raise SetupError(f"[felt] law = {_show(felt.name)} is the name of a built-in law; give yours another name")
 
 
-def _given(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
+def _given(value: Any, key: str, where: str, allowed: Range) -> float:
     """Return a number within its range, or a `Measured` if it has a standard deviation above 0."""
     if isinstance(value, Mapping):
         value = _measured(value, f"{where} {key}")
     if not isinstance(value, Measured):
-        return _number(value, key, lower, upper, unit, where)
-    number = _number(float(value), key, lower, upper, unit, where)
-    sd = _number(value.sd, f"{key}: sd", 0.0, MOST_RELATIVE_SD * number, unit, where)
+        return _number(value, key, where, allowed)
+    number = _number(float(value), key, where, allowed)
+    sd = _number(value.sd, f"{key}: sd", where, (0.0, MOST_RELATIVE_SD * number, allowed[2]))
     return Measured(number, sd) if sd else number
 
 
@@ -352,18 +357,10 @@ def _measured(table: Mapping[Any, Any], where: str) -> Measured:
         raise SetupError(f"{where}: {error}") from None
 
 
-def _given_parameter(value: object, key: str, where: str, box: Parameter) -> float:
-    return _given(value, key, box.lower, box.upper, box.unit, where)
-
-
-def _parameter_value(value: object, key: str, where: str, box: Parameter) -> float:
-    return _number(value, key, box.lower, box.upper, box.unit, where)
-
-
-def _bounds(pair: object, key: str, where: str, box: Parameter) -> tuple[float, float]:
+def _bounds(pair: object, key: str, where: str, allowed: Range) -> tuple[float, float]:
     if not isinstance(pair, list | tuple) or len(pair) != 2:
         raise SetupError(f"{where} {key} = {_show(pair)} must be two numbers, [lower, upper]")
-    lower, upper = (_parameter_value(value, key, where, box) for value in pair)
+    lower, upper = (_number(value, key, where, allowed) for value in pair)
     if lower >= upper:
         raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [fixed]")
     return lower, upper
@@ -387,9 +384,9 @@ def _recording_info(entry: object, number: int) -> RecordingInfo:
     table = {key: value for key, value in given.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _given_parameter(value, key, where, ALL_PARAMETERS[key])
+            table[key] = _given(value, key, where, _range(ALL_PARAMETERS[key]))
         elif key == "midi_velocity":
-            table[key] = _number(value, key, *MIDI_VELOCITIES, "1", where)
+            table[key] = _number(value, key, where, (*MIDI_VELOCITIES, "1"))
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
