@@ -81,9 +81,8 @@ def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
     u, name = fit.problem.parametrisation, quantity.name
     if name not in u.sizes:
         return quantity
-    at = u.index_of(name)
-    value = float(np.exp(fit.posterior.mean[0, at]))
-    interval = fit.alternative_interval(name) or fit.posterior.value_interval(np.eye(u.size)[at], value)
+    value = _size_value(fit, name)
+    interval = fit.alternative_interval(name) or fit.posterior.value_interval(_unit(u, name), value)
     return _with_interval(replace(quantity, value=value), interval)
 
 
