@@ -84,7 +84,7 @@ def _probability_of_one_velocity(fit: InferenceResult, strokes: Sequence[int]) -
 def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     """Ratio of the fastest to the slowest stroke: low end of its 95 % interval, value, high end."""
     u, z = fit.problem.parametrisation, fit.estimate.theta
-    velocities, direction = z[u.velocities], np.zeros(u.size)
+    velocities, direction = z[u.shared : u.shared + u.strokes], np.zeros(u.size)
     direction[u.shared + np.argmax(velocities)] += 1
     direction[u.shared + np.argmin(velocities)] -= 1
     log_ratio = float(z @ direction)
