@@ -79,7 +79,7 @@ def test_a_function_that_is_no_sum_of_logarithms_has_the_interval_of_many_draws(
         return np.exp(z[:, 0]) + np.exp(0.5 * z[:, 1] ** 2 / 4) - 3.0
 
     expected = np.quantile(function(random.normal(size=(400_000, 4))), (0.025, 0.975))
-    found = np.array(draws.interval(function(draws.standard)))
+    found = np.array(draws.interval(function(draws.mixture.standard)))
     np.testing.assert_allclose(found, expected, atol=0.12 * np.ptp(expected) / 2)
 
 

@@ -128,9 +128,6 @@ class Sides:
         mean = (b.value - a.value) / log_ratio if abs(log_ratio) > SAME else 0.5 * (a.value + b.value)
         return ComparedQuantity(a.name, a.unit, a, b, b.value - a.value, mean * sd, log_ratio / sd)
 
-    def _open_scales(self, which: Sequence[bool]) -> str:
-        return f"scales with velocities that were not measured in {self.where(which)}" if any(which) else ""
-
     # --- why z is missing ---------------------------------------------------------------------------------------------
 
     def _reason(self, a: Quantity, b: Quantity) -> str:
@@ -177,9 +174,8 @@ class Sides:
                 if abs(math.log(first.value / second.value)) > SAME:
                     values = f"{first.value:.5g} {first.unit} and {second.value:.5g} {second.unit}"
                     return f"scales with different assumed values of the {size}: {values}"
-        return self._open_scales(
-            [q.status == "scaled" and _scales_with_velocity(q) and f.velocity_scale_open for q, f in pairs]
-        )
+        which = [q.status == "scaled" and _scales_with_velocity(q) and f.velocity_scale_open for q, f in pairs]
+        return f"scales with velocities that were not measured in {self.where(which)}" if any(which) else ""
 
     # --- limits -------------------------------------------------------------------------------------------------------
 

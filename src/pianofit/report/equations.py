@@ -49,6 +49,7 @@ VARIABLES = {
     "F": ("force of the hammer on the string; 0 without contact", "N"),
     "k": ("number of a partial", ""),
     "π": ("circle constant", ""),
+    "f_0": (MEANINGS["f0"], "Hz"),
     "β_k": ("wave number of partial k", "1/m"),
     "f_k": ("frequency of partial k", "Hz"),
     "α_k": ("decay rate of the amplitude of partial k", "1/s"),
@@ -74,15 +75,6 @@ OTHER_VARIABLES = {
         "F": ("static force on the string before the release; 0 afterwards", "N"),
         "ω_k": ("angular frequency of partial k", "1/s"),
     }
-}
-INVARIANT_UNITS = {
-    "f_0": "Hz",
-    "B": "1",
-    "M_H/M_S": "1",
-    "x_0/L": "1",
-    "pickup/L": "1",
-    "width/L": "1",
-    "F/M_S": "N/kg",
 }
 
 
@@ -121,7 +113,6 @@ def _set(formula: str) -> str:
 def _table(fit: Fit, lines: dict[str, tuple[str, ...]]) -> list[tuple[str, str, str]]:
     """Return the symbols of the equations, then those of the tables that no equation has."""
     common = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
-    common |= {symbol: (common[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
     common |= VARIABLES | OTHER_VARIABLES.get(fit.excitation, {})
     tables = _table_symbols(fit)
     of_law = common | {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}

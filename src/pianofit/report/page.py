@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..excitation import STROKES as STROKE_PARAMETERS
-from ..felt import LAWS, law_of
+from ..felt import law_of
 from ..io.files import json_text, printable, replace_paths
 from ..io.number_format import number
 from ..result import Result
@@ -64,9 +64,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         If the fit was loaded from a file and a recording is missing or was changed.
     """
     result, held_out = _without_folders(result.with_recordings(), held_out)
-    fit, hammer = result.fit, result.note.hammer
-    # Built-in felt laws are found by name, because some share a type of hammer.
-    law = LAWS.get(fit.felt) or law_of(hammer)
+    fit, law = result.fit, result.draw_set.law
     figures, clips = draw_figures(result, held_out), _clips(result)
     return page_bytes(
         "page.html.j2",
@@ -77,9 +75,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         text=text,
         identifiability_sections=identifiability_sections(fit),
         felt_scale=felt_scale(fit),
-        is_scale_open=fit.velocity_scale_open,
-        is_power_law=text.is_power_law(fit),
-        has_slow_law=law_of(hammer).slow is not None,
+        has_slow_law=law.slow is not None,
         equations=equations(fit, law),
         words=law.words,
         stroke=law.stroke,

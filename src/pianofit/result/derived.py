@@ -13,7 +13,7 @@ no sound show whether the quantity scales with an assumed mass or length, or wit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -163,16 +163,28 @@ class DrawSet:
         return probes | {name: scale(best, self.law, SCALE) for name, scale in scaled.items()}
 
     @cached_property
-    def draws(self) -> list[ModelDraw]:
-        """The best minimum, then the probes, then the draws."""
+    def _points(self) -> list[tuple[dict[str, float], Note]]:
+        """Values and note of the best minimum, then of the probes, then of the draws."""
         count = max(map(len, self._drawn.values()))
         columns = {name: np.broadcast_to(values, count).tolist() for name, values in self._drawn.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         values = [self._best_values, *self._probes.values(), *(rows if self.fit.has_intervals else [])]
-        notes = [_note(self.best, self._within_ranges(one)) for one in values]
-        strokes = _Strokes(notes, self.first, self.fit.reference.rate)
-        pairs = enumerate(zip(values, notes, strict=True))
-        return [ModelDraw(one, note, lambda i=i: strokes.all[i]) for i, (one, note) in pairs]
+        return [(one, _note(self.best, self._within_ranges(one))) for one in values]
+
+    @cached_property
+    def _strokes(self) -> list[Simulation]:
+        """The strokes of all points, simulated together when the first is asked for."""
+        notes, own_rate = [note for _, note in self._points], self.fit.reference.rate
+        arrays, rate, cfg = strokes_arguments(notes, self.first or notes[0].strike(own_rate))
+        done = simulations(run_in_batches(strokes, arrays, rate, cfg, BATCH_SIZE))
+        # A contact that is much longer than the first is simulated alone.
+        pairs = zip(done, notes, strict=True)
+        return [one if one.pulse.contact_ended else note.strike(own_rate) for one, note in pairs]
+
+    @cached_property
+    def draws(self) -> list[ModelDraw]:
+        """The best minimum, then the probes, then the draws."""
+        return [ModelDraw(values, note, lambda i=i: self._strokes[i]) for i, (values, note) in enumerate(self._points)]
 
     def _within_ranges(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return values with the felt inside its ranges: probes and another scale of the velocities can leave them."""
@@ -193,7 +205,8 @@ class DrawSet:
 
     def _doubts(self, best: float, probed: Mapping[str, float], sd: float) -> tuple[list[Status], float]:
         """Return the statuses on which a quantity rests, and the standard deviation of its logarithm."""
-        matters = [name for name in probed if name not in SCALINGS and not _is_near(probed[name], best, MATTERS)]
+        parameters = {name: value for name, value in probed.items() if name not in SCALINGS}
+        matters = [name for name, value in parameters.items() if not math.isclose(value, best, rel_tol=MATTERS)]
         states: dict[str, Status] = {name: self._status(name) for name in matters}
         if not self.fit.has_intervals:  # without draws, a quantity is free if one of its parameters is
             sd = float(any(state not in ("given", "assumed") for state in states.values())) * MATTERS
@@ -215,25 +228,10 @@ class DrawSet:
     def _scales(self, best: float, probed: Mapping[str, float]) -> Iterable[str]:
         """Yield what a quantity scales with and was not measured."""
         for size, name in (("mass", "M_S"), ("length", "L")):
-            if self.fit.parameters[name].status == "assumed" and not _is_near(probed[size], best, SAME):
+            if self.fit.parameters[name].status == "assumed" and not math.isclose(probed[size], best, rel_tol=SAME):
                 yield f"scales with the assumed {size} of the string"
-        if self.fit.velocity_scale_open and not _is_near(probed["velocity"], best, SAME):
+        if self.fit.velocity_scale_open and not math.isclose(probed["velocity"], best, rel_tol=SAME):
             yield "at the reference velocity shown" if self.at_reference_velocity else "scales with the velocities"
-
-
-class _Strokes:
-    """Simulations of all notes, computed together when the first is asked for."""
-
-    def __init__(self, notes: Sequence[Note], first: Simulation | None, rate: float) -> None:
-        self._notes, self._first, self._rate = notes, first, rate
-
-    @cached_property
-    def all(self) -> list[Simulation]:
-        arrays, rate, cfg = strokes_arguments(self._notes, self._first or self._notes[0].strike(self._rate))
-        done = simulations(run_in_batches(strokes, arrays, rate, cfg, BATCH_SIZE))
-        # A contact that is much longer than the first is simulated alone.
-        pairs = zip(done, self._notes, strict=True)
-        return [one if one.pulse.contact_ended else note.strike(self._rate) for one, note in pairs]
 
 
 def _number(function: Callable[[ModelDraw], Any], draw: ModelDraw) -> float:
@@ -246,10 +244,6 @@ def _number(function: Callable[[ModelDraw], Any], draw: ModelDraw) -> float:
     if not is_number(found):
         raise FitError(f"function=: returned {found} for {draw!r}; it must be finite for all draws of the posterior")
     return found
-
-
-def _is_near(a: float, b: float, tolerance: float) -> bool:
-    return abs(a - b) <= tolerance * max(abs(a), abs(b))
 
 
 def _log_sd(span: tuple[float, float]) -> float:

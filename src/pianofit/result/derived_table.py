@@ -9,13 +9,6 @@ from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
 from .derived import DrawSet, ModelDraw
 
-# Unit and function by name. Forces hold at the reference compression of the key.
-STROKE: dict[str, tuple[str, Callable[[ModelDraw], float]]] = {
-    "contact_time": ("ms", lambda draw: 1e3 * draw.stroke.contact_time),
-    "peak_force": ("N", lambda draw: float(draw.stroke.pulse.force.max())),
-    "peak_compression": ("mm", lambda draw: 1e3 * float(draw.stroke.pulse.compression.max())),
-    "felt_loss": ("1", lambda draw: draw.felt_loss),
-}
 # Those that hold at the reference compression.
 AT_REFERENCE = ("felt_force", "local_exponent")
 
@@ -29,7 +22,7 @@ def derived_quantities(draws: DrawSet) -> Quantities:
     """
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
-    table = of_contact(u) if draws.law.has_contact else {}
+    table = _of_contact(u) if draws.law.has_contact else {}
     table |= {f"{T60}{k}": ("s", lambda draw, k=k: draw.t60(k)) for k in _octaves(fit)}
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
@@ -41,9 +34,13 @@ def derived_quantities(draws: DrawSet) -> Quantities:
     return Quantities.of(quantity(name, *entry) for name, entry in table.items())
 
 
-def of_contact(u: float) -> dict[str, tuple[str, Callable[[ModelDraw], float]]]:
-    """Return the functions of a hammer's contact, with its felt at the compression `u`, mm."""
-    return STROKE | {
+def _of_contact(u: float) -> dict[str, tuple[str, Callable[[ModelDraw], float]]]:
+    """Return unit and function of each quantity of a hammer's contact, with the felt at the compression `u`, mm."""
+    return {
+        "contact_time": ("ms", lambda draw: 1e3 * draw.stroke.contact_time),
+        "peak_force": ("N", lambda draw: float(draw.stroke.pulse.force.max())),
+        "peak_compression": ("mm", lambda draw: 1e3 * float(draw.stroke.pulse.compression.max())),
+        "felt_loss": ("1", lambda draw: draw.felt_loss),
         "felt_force": ("N", lambda draw: draw.felt_force(1e-3 * u)),
         "local_exponent": ("1", lambda draw: draw.local_exponent(1e-3 * u)),
     }

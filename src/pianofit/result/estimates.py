@@ -81,9 +81,8 @@ def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
     u, name = fit.problem.parametrisation, quantity.name
     if name not in u.sizes:
         return quantity
-    at = u.index_of(name)
-    value = float(np.exp(fit.posterior.mean[0, at]))
-    interval = fit.alternative_interval(name) or fit.posterior.value_interval(np.eye(u.size)[at], value)
+    value = _size_value(fit, name)
+    interval = fit.alternative_interval(name) or fit.posterior.value_interval(_unit(u, name), value)
     return _with_interval(replace(quantity, value=value), interval)
 
 
@@ -94,7 +93,7 @@ def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities
     """
     u = fit.problem.parametrisation
     c, kappa = (u.index_of(name) for name in ("c", "kappa"))
-    direction = 2 * (_over(u, "kappa", "L") - _unit(u, "c"))
+    direction = 2 * (_unit(u, "kappa") - _unit(u, "L") - _unit(u, "c"))
     B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / _size_value(fit, "L")) ** 2
     table = [
         _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
@@ -128,11 +127,6 @@ def _places(fit: InferenceResult, states: Mapping[str, Status]) -> list[Quantity
 def _unit(u: Parametrisation, name: str) -> np.ndarray:
     """The direction of one logarithm [size]; 0 for an exact size."""
     return np.eye(u.size)[u.index_of(name)] if name in (*u.names, *u.sizes) else np.zeros(u.size)
-
-
-def _over(u: Parametrisation, name: str, size: str) -> np.ndarray:
-    """The direction of the logarithm of a value over a size [size]."""
-    return _unit(u, name) - _unit(u, size)
 
 
 def _size_value(fit: InferenceResult, size: str) -> float:
@@ -175,7 +169,7 @@ def _ratio(
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)
     value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
-    quantity = _combined(name, fit.gauge_fixed, _over(u, of, size), value, unit, states)
+    quantity = _combined(name, fit.gauge_fixed, _unit(u, of) - _unit(u, size), value, unit, states)
     if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))

@@ -36,9 +36,7 @@ class JointDraws:
     """Draws of all parameters and velocities by name [draws], in SI units; fixed ones have one value [1]."""
 
     values: dict[str, np.ndarray]
-    standard: np.ndarray | None = None  # standard normal numbers of the mixture [draws, parameters]
-    minimum: np.ndarray | None = None  # [draws]
-    weight: np.ndarray | None = None  # posterior weights [minima]
+    mixture: Mixture | None = None  # None for draws of a sampler, and without a free parameter
 
     def interval(self, found: np.ndarray) -> tuple[float, float]:
         """Return the 95 % interval of a function from its values at the draws [draws].
@@ -50,25 +48,29 @@ class JointDraws:
         is_positive = bool((found > 0).all())
         y = np.log(found) if is_positive else found
         ends = np.quantile(y, ENDS)
-        if self.standard is not None and np.var(y) > 0:
-            line, centre, sd = self._line(y)
-            exact = Posterior(centre[:, None], sd[:, None, None] ** 2, self._weight).interval(np.ones(1))
+        if self.mixture is not None and np.var(y) > 0:
+            line, centre, sd = self.mixture.line(y)
+            exact = Posterior(centre[:, None], sd[:, None, None] ** 2, self.mixture.weight).interval(np.ones(1))
             explained = max(1 - np.var(y - line) / np.var(y), 0.0)
             if exact is not None:
                 ends = ends - explained * (np.quantile(line, ENDS) - exact)
         low, high = (np.exp(ends) if is_positive else ends).tolist()
         return low, high
 
-    @property
-    def _weight(self) -> np.ndarray:
-        return np.ones(1) if self.weight is None else self.weight
 
-    def _line(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the line at the draws [draws], and its mean and standard deviation at every minimum [minima]."""
-        standard = np.zeros((len(y), 0)) if self.standard is None else self.standard
-        design = np.column_stack([np.ones(len(y)), standard])
+@dataclass(frozen=True)
+class Mixture:
+    """The Gaussians of all minima, and which numbers gave each draw."""
+
+    standard: np.ndarray  # standard normal numbers [draws, parameters]
+    minimum: np.ndarray  # index of the minimum [draws]
+    weight: np.ndarray  # posterior weights [minima]
+
+    def line(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the line that resembles `y` best [draws], and its mean and standard deviation at minima [minima]."""
+        design = np.column_stack([np.ones(len(y)), self.standard])
         common = np.linalg.lstsq(design, y, rcond=None)[0]
-        line, centre, sd = np.empty(len(y)), np.full(len(self._weight), common[0]), np.zeros(len(self._weight))
+        line, centre, sd = np.empty(len(y)), np.full(len(self.weight), common[0]), np.zeros(len(self.weight))
         for which in range(len(centre)):
             own = np.flatnonzero(self.minimum == which)
             slopes = common
@@ -107,7 +109,7 @@ def joint_draws(fit: Fit, law: Excitation, sampled: Mapping[str, np.ndarray] | N
         log[which == i] = _gaussian(fit, law, minimum, standard[which == i])
     values = {name: np.exp(x) for name, x in _within_bounds(fit, law, dict(zip(names, log.T, strict=True))).items()}
     free = int((np.diag(fit.covariance.matrix) > 0).sum())
-    return JointDraws(fixed | values, standard[:, :free], which, weight)
+    return JointDraws(fixed | values, Mixture(standard[:, :free], which, weight))
 
 
 def _gaussian(fit: Fit, law: Excitation, minimum: Minimum, standard: np.ndarray) -> np.ndarray:

@@ -90,12 +90,10 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
     measured = comparison.levels_at_partials(stored.measured, stored.number)
     plain = note._replace(gain=1.0, modal_response=None)
     begins = None if gain is None else comparison.contact_onset(plain)
-    initial = comparison.render(initial_note(fit, record, note), gain, begins, measured)
-    fitted = comparison.render(plain, float(note.gain), begins, measured)
-    initial, fitted = (
-        replace(sound, level=comparison.levels_at_partials(level, stored.number))
-        for sound, level in ((initial, stored.initial), (fitted, stored.fitted))
-    )
+    level = comparison.levels_at_partials(stored.initial, stored.number)
+    initial = replace(comparison.render(initial_note(fit, record, note), gain, begins, level), level=level)
+    level = comparison.levels_at_partials(stored.fitted, stored.number)
+    fitted = comparison.render(plain, float(note.gain), begins, level)
     compared = FittedRecording(initial, fitted, measured, recording, analysis, record.criterion, record.levels)
     return (
         compared

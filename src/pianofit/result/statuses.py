@@ -83,20 +83,14 @@ def _probability_of_one_velocity(fit: InferenceResult, strokes: Sequence[int]) -
 
 def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     """Ratio of the fastest to the slowest stroke: low end of its 95 % interval, value, high end."""
-    u = fit.problem.parametrisation
-    low, ratio, high = np.exp(_fastest_over_slowest(fit, range(u.strokes))).tolist()
-    return low, ratio, high
-
-
-def _fastest_over_slowest(fit: InferenceResult, strokes: Sequence[int]) -> tuple[float, float, float]:
-    """Logarithm of the largest ratio of the strokes' velocities: low end of its 95 % interval, value, high end."""
     u, z = fit.problem.parametrisation, fit.estimate.theta
-    index, direction = u.shared + np.array(strokes), np.zeros(u.size)
-    direction[index[np.argmax(z[index])]] += 1
-    direction[index[np.argmin(z[index])]] -= 1
+    velocities, direction = z[u.shared : u.shared + u.strokes], np.zeros(u.size)
+    direction[u.shared + np.argmax(velocities)] += 1
+    direction[u.shared + np.argmin(velocities)] -= 1
     log_ratio = float(z @ direction)
     low, high = fit.posterior.interval(direction) or (log_ratio, log_ratio)
-    return low, log_ratio, high
+    low, ratio, high = np.exp([low, log_ratio, high]).tolist()
+    return low, ratio, high
 
 
 def exceeds_pianist(fit: InferenceResult) -> bool:

@@ -67,17 +67,17 @@ def write_page(path: str | os.PathLike[str], tuning: Tuning) -> None:
         wide=[by_note[note] for note in tuning.wide_unisons],
         beating=[key for key in tuning.keys if key.beats],
         pictures={name: html.picture(panels) for name, panels in figures(tuning).items()},
-        filters={"cents": _cents, "digits": _digits},
+        filters={"cents": span_text, "digits": span_text},
         version=__version__,
     )
 
 
-def _cents(it: IntervalValue | None) -> str:
-    return "" if it is None else f"{it.value:+.1f} [{it.interval[0]:+.1f}, {it.interval[1]:+.1f}]"
-
-
-def _digits(it: IntervalValue, digits: int) -> str:
-    return f"{number(it.value, digits)} [{number(it.interval[0], digits)}, {number(it.interval[1], digits)}]"
+def span_text(it: IntervalValue | None, digits: int | None = None) -> str:
+    """Return a value with its interval, in cents to a tenth or with significant digits."""
+    if it is None:
+        return ""
+    texts = [f"{x:+.1f}" if digits is None else number(x, digits) for x in (it.value, *it.interval)]
+    return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
 
 def figures(tuning: Tuning) -> dict[str, list[bytes]]:

@@ -11,10 +11,10 @@ from ..io.files import replace_file
 from ..io.number_format import counted, number
 from ..io.table_output import write_csv
 from ..schema.decode import encode_json
-from ..schema.tuning import IntervalValue, TunedKey, Tuning
+from ..schema.tuning import TunedKey, Tuning
 from .curves import OCTAVE_TYPES
 from .entropy_piano_tuner import entropy_piano_tuner_file
-from .page import write_page
+from .page import span_text, write_page
 
 JSON_FILE, PAGE_FILE, TABLE_FILE, EPT_FILE = "tuning.json", "tuning.html", "tuning.csv", "tuning.ept"
 # Columns of the table with a value and both ends of its interval, and the fields of a key.
@@ -104,11 +104,3 @@ def tuning_summary(tuning: Tuning) -> str:
 def _beats(key: TunedKey) -> str:
     rates = ", ".join(f"{beat.rate.value:.2f} Hz at partial {beat.partial}" for beat in key.beats[:LISTED_BEATS])
     return f"{span_text(key.unison_cents)} cents: {rates}"
-
-
-def span_text(it: IntervalValue | None, digits: int | None = None) -> str:
-    """Return a value with its interval, in cents to a tenth or with significant digits."""
-    if it is None:
-        return ""
-    texts = [f"{x:+.1f}" if digits is None else number(x, digits) for x in (it.value, *it.interval)]
-    return f"{texts[0]} [{texts[1]}, {texts[2]}]"

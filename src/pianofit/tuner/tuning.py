@@ -207,15 +207,10 @@ def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
     beats = tuple(_beat(partial) for partial in chosen if not math.isnan(partial.beat_frequency))
     if not chosen:
         return {"beats": beats}
-    cents = sorted(_split(partial) for partial in chosen)
+    cents = sorted([0.0] * (len(chosen) - len(beats)) + [beat.cents.value for beat in beats])
     half, middle = HALF_WIDTH_95 * math.sqrt(len(cents)) / 2, len(cents) / 2
     low, high = cents[max(math.floor(middle - half), 0)], cents[min(math.ceil(middle + half), len(cents)) - 1]
     return {"beats": beats, "unison_cents": IntervalValue(float(np.median(cents)), (low, high))}
-
-
-def _split(partial: PartialDecay) -> float:
-    """Split of a partial, cents; 0 if it does not beat."""
-    return 0.0 if math.isnan(partial.beat_frequency) else _beat(partial).cents.value
 
 
 def _beat(partial: PartialDecay) -> PartialBeat:

@@ -8,7 +8,7 @@
 import { BLOCK, Contact, FreeMotion, Release, addDamped, addDriven, expPole, grown, reversedDot, unitAtStrike, workspace }
   from "./contact.js";
 import { Dampers, softHammer, unaCorda } from "./pedals.js";
-import { atVelocity } from "./prepare.js";
+import { atVelocity, scaled } from "./prepare.js";
 import { releaseGain } from "./release.js";
 import { HOP_BLOCKS, Resonance } from "./resonance.js";
 
@@ -143,8 +143,8 @@ class Voice {
       ? new Contact(table.string, this.kernel, softHammer(this.hammer, pedal), velocity, state)
       : new Release(table.string, velocity);
     if (!table.hammer && !table.isMeasured) this._stop();
-    const impulses = table.isMeasured ? new Impulses(table, rate) : null, { re, im } = table.string.excitation;
-    const drive = pedal.share === 1 ? { re, im } : { re: re.map((x) => pedal.share * x), im: im.map((x) => pedal.share * x) };
+    const impulses = table.isMeasured ? new Impulses(table, rate) : null, { excitation } = table.string;
+    const drive = pedal.share === 1 ? excitation : scaled(excitation, pedal.share);
     const response = atVelocity(table.response, velocity, pedal.share);
     this.strokes.push({ contact: this.contact, impulses, at: 0, drive, ...response });
     onBegin?.(this.contact, response.velocityFactor, pedal.share);

@@ -226,10 +226,13 @@ function delayed(silence, samples) {
   return out;
 }
 
-const times = (a, b) => ({
+/** Products of complex columns {re, im}. */
+export const times = (a, b) => ({
   re: a.re.map((x, k) => x * b.re[k] - a.im[k] * b.im[k]), im: a.im.map((x, k) => x * b.re[k] + a.re[k] * b.im[k]),
 });
 const firstModes = (pair, count) => ({ re: pair.re.slice(0, count), im: pair.im.slice(0, count) });
+/** A complex column times a real factor. */
+export const scaled = ({ re, im }, factor) => ({ re: re.map((x) => factor * x), im: im.map((x) => factor * x) });
 const logZOf = (pole, rate) => ({ re: pole.re.map((x) => x / rate), im: pole.im.map((x) => x / rate) });
 
 /** Transfer function of the path at the pole of each mode, summed within `MOST_DECAY`. */
@@ -249,7 +252,7 @@ function pathGains(response, logZ) {
 function stringResponse(key, t, path, rate, ratio) {
   const count = t.pole.im.filter((x, k) => k < t.modes && x < Math.PI * rate).length;
   const [audiblePole, excitation, pickup] = [t.pole, t.excitation, t.pickup].map((pair) => firstModes(pair, count));
-  const dryGain = { re: pickup.re.map((x) => x * key.gain), im: pickup.im.map((x) => x * key.gain) };
+  const dryGain = scaled(pickup, key.gain);
   const filter = path ? impulse(path, rate) : [], size = filter.length;
   const gain = path ? times(dryGain, pathGains(filter, logZOf(audiblePole, rate))) : dryGain;
   const fineLogZ = logZOf(audiblePole, rate * ratio), kernel = new Float64Array(size * ratio);
@@ -333,8 +336,6 @@ function gainAt({ velocity: measured, strokes }, velocity) {
   const mixed = (part) => strokes[low][part].map((x, k) => x + share * (strokes[high][part][k] - x));
   return { re: mixed("re"), im: mixed("im") };
 }
-
-const scaled = ({ re, im }, factor) => ({ re: re.map((x) => factor * x), im: im.map((x) => factor * x) });
 
 /**
  * The response to a stroke at `velocity`, m/s: the modes have their velocity gain, returned as `velocityFactor`. The

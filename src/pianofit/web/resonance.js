@@ -6,6 +6,7 @@
 
 import { BLOCK, STRIDE, addDamped, expPole } from "./contact.js";
 import { TAPER, zeros } from "./free_strings.js";
+import { times } from "./prepare.js";
 import { lowpass } from "./signal.js";
 
 export const HOP_BLOCKS = 4;
@@ -69,9 +70,8 @@ export class Resonance {
     this.part = place.map((x, k) => x - this.bin[k]);
     [this.turn, this.z] = [this.seconds, reduced].map((t) => expPole(pole, t));
     this.powers = [this.z]; // z, z², z⁴, ...
-    const delay = expPole(pole, REACH * reduced), times = (g, part, other, sign) =>
-      g[part].map((x, k) => x * delay.re[k] + sign * g[other][k] * delay.im[k]);
-    this.sound = strings.sound.map((g) => ({ re: times(g, "re", "im", -1), im: times(g, "im", "re", 1) }));
+    const delay = expPole(pole, REACH * reduced);
+    this.sound = strings.sound.map((g) => times(g, delay));
     this.loudness = this.omega.map((_, k) => Math.max(...strings.sound.map((g) => g.re[k] ** 2 + g.im[k] ** 2)));
     this.lift = new Float64Array(count);
     this.coupling = new Float64Array(count); // drive of strings as far as they are free
@@ -233,7 +233,7 @@ export class Resonance {
     out.re.fill(1);
     out.im.fill(0);
     for (let i = 0, rest = Math.abs(samples); rest; i++, rest >>= 1) {
-      if (i === powers.length) powers.push(squared(powers[i - 1]));
+      if (i === powers.length) powers.push(times(powers[i - 1], powers[i - 1]));
       if (rest & 1) turned(out, powers[i], count);
     }
     return out;
@@ -335,10 +335,6 @@ function turned({ re, im }, { re: c, im: s }, count) {
     re[k] = x * c[k] - y * s[k];
     im[k] = x * s[k] + y * c[k];
   }
-}
-
-function squared({ re, im }) {
-  return { re: re.map((x, k) => x * x - im[k] * im[k]), im: re.map((x, k) => 2 * x * im[k]) };
 }
 
 function summed({ re, im }, { re: a, im: b }, { re: c, im: d }, count) {
