@@ -98,6 +98,12 @@ class Field:
         """Weights of the measured values, after their mean was subtracted, in the prediction [at, points]."""
         return cho_solve(self._factor, self.shape.covariance(at, self.points).T).T
 
+    def variance(self, weights: np.ndarray, at: FieldPoints) -> np.ndarray:
+        """Variance of the value of one partial about its prediction with these `weights` [at]."""
+        prior = sum(self.shape.parts(np.zeros(1), np.zeros(1))) + self.shape.residual**2
+        explained = (weights * self.shape.covariance(at, self.points)).sum(axis=1)
+        return prior - explained
+
 
 def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
     """Estimate the most probable spreads and lengths of a field from measured values [points]."""

@@ -3,7 +3,8 @@
 A key that was never recorded takes the predictions of the fields (`measured_fields`) at its own partials:
 
     frequency   of the string model
-    level       of the string model, struck by the hammer of the laws, plus the predicted level
+    level       of the string model, struck by the hammer of the laws, plus the predicted level; the level of a single
+                partial deviates from its prediction, so the prediction is that of its power
     decay       the predicted decay curve, dB over time in units of the decay of the laws. It is a sum of two
                 exponentials: it keeps prompt sound and aftersound, without beats of single partials
     channels    phases and differences of channels as predicted, where neighbouring partials and keys agree; the rest is
@@ -20,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..conversions import HALF_WIDTH_95, LOWEST_KEY
+from ..conversions import DB, HALF_WIDTH_95, LOWEST_KEY
 from ..dsp.level import level_energy
 from ..felt import law_of
 from ..model.modal_response import ModalResponse, VelocityGain
@@ -115,7 +116,9 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     share = np.stack([_exponentials(curve) for curve in curves])
     energy = np.einsum("ki,kij,kj->k", share, level_energy(rate[:, None, None] * (RATIOS[:, None] + RATIOS)), share)
     size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)
-    size *= 10 ** (cells.points.predict(weights, cells.level) / 20)
+    # The expected power of a partial, whose level is uncertain.
+    level = cells.points.predict(weights, cells.level) + fields.level.variance(weights, at) / DB
+    size *= 10 ** (level / 20)
     channels = size[:, None] * _draw_channels(weights, fields, np.random.default_rng([SEED, midi]))
     i, j = np.nonzero(share)
     pole = -RATIOS[j] * rate[i] + 2j * np.pi * string.frequency[i]
@@ -124,8 +127,8 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     empty = np.zeros((len(pattern), 0))
     response = ModalResponse(i + 1, pole, np.zeros(len(pole)), pattern, empty, fields.rate, gain)
     # A knock cancels the static deflection of the modes, as it does for recorded keys.
-    knock = static_part(response)
-    return response._replace(knock=knock if fields.knocks is None else knock + guess_knock(fields.knocks, midi))
+    static, knocks = static_part(response), fields.knocks
+    return response._replace(knock=static if knocks is None else static + guess_knock(knocks, midi, response, static))
 
 
 def _audible_partials(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> Partials:

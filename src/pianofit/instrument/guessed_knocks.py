@@ -2,9 +2,13 @@
 
 The knock of a recorded key contains the part that cancels the static deflection of its modes. The rest is what
 soundboard, frame and key sound like when the string is struck. Its energy in bands of frequency and frames of time,
-per unit of the force of the hammer of the laws, is a smooth function of the key. The waveform is noise with this
-energy in every cell, from the contact on. The waveform of a recorded knock would not do: it holds traces of the
-partials of its own key, which would sound on every other key.
+per unit of the force of the hammer of the laws, is a smooth function of the key. The waveform is noise, from the
+contact on. The waveform of a recorded knock would not do: it holds traces of the partials of its own key, which would
+sound on every other key.
+
+The modes begin at once, where soundboard and room build up slowly. So a part of a recorded knock cancels the modes.
+Noise does not cancel them but adds its energy. The noise of a cell therefore has the energy that a key has beyond its
+modes there. It follows from the energies of knock and modes and from their correlation, which is mostly negative.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import ShortTimeFFT
 
+from ..dsp.damped_sums import sum_damped_modes
 from ..model.modal_response import KNOCK_SECONDS, PRE_ONSET_S, ModalResponse, cancel_static_deflection
 from .fields import Field, FieldPoints, FieldShape, field_shape
 
@@ -22,16 +27,16 @@ from .fields import Field, FieldPoints, FieldShape, field_shape
 WINDOW_S, HOP_S = 0.02, 0.005
 # Edges of the bands, Hz: half octaves.
 EDGES = 20.0 * 2 ** (np.arange(21) / 2)
-# Bands with fewer bins have the mean of their energy. Others have the median, which traces of partials do not raise.
-FEW_BINS = 6
-# Median of the power of a Gaussian noise over its mean.
-MEDIAN_OVER_MEAN = math.log(2)
+# Mean of the power of a Gaussian noise over its geometric mean: exp of Euler's constant.
+MEAN_OVER_GEOMETRIC = math.exp(np.euler_gamma)
 # Duration of the beginning of a knock before the contact, s: its frames are longer, and would spread it.
 BEGINNING_S = 0.001
 # Seed of the noise. All keys have the same, so neighbours sound alike.
 SEED = 0
 # Range of the energies, dB below the loudest cell of the knock. Fainter cells are rounding.
 RANGE = 80.0
+# Smallest power, to take logarithms and ratios.
+TINY = 1e-300
 
 
 class KnockFields(NamedTuple):
@@ -41,14 +46,17 @@ class KnockFields(NamedTuple):
     correlation: float  # of the waveforms of two channels
     samples: int  # of a knock, from `PRE_ONSET_S` before the contact
     energy: np.ndarray  # dB [keys, channels, bands, frames]
+    with_modes: np.ndarray  # correlation of knock and modes, -1 to 1 [keys, channels, bands, frames]
     shape: FieldShape  # of the energy over frequency and key
     rate: int  # Hz
 
-    def energy_of(self, midi: int) -> np.ndarray:
-        """Predict the energy of a key, dB [channels, bands, frames]."""
+    def noise_power(self, midi: int, modes: np.ndarray) -> np.ndarray:
+        """Predict the power of the noise of a key [channels, bands, frames] from that of its modes."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
         weights = Field(points, self.shape).weights(FieldPoints.of_key(np.zeros(1), midi))[0]
-        return points.predict(weights, self.energy)
+        knock = 10 ** (points.predict(weights, self.energy) / 10)
+        added = knock + 2 * points.predict(weights, self.with_modes) * np.sqrt(knock * modes)
+        return np.clip(added, 0.0, knock)
 
 
 def static_part(response: ModalResponse) -> np.ndarray:
@@ -72,15 +80,52 @@ def measure_knocks(
         return None
     keys, gains, responses = keys[with_knock], gains[with_knock], [responses[i] for i in with_knock]
     rate = max(response.rate for response in responses)
-    rest = []
+    waves, correlations = [], []
     for response, gain in zip(responses, gains, strict=True):
         own = response.at(rate)
         static = static_part(own)
-        knock = np.pad(own.knock, ((0, 0), (0, max(static.shape[1] - own.knock.shape[1], 0))))[:, : static.shape[1]]
-        rest.append(gain * np.resize(knock - static, (channels, static.shape[1])))
-    waves = np.array(rest)
+        count = static.shape[1]
+        knock = np.pad(own.knock, ((0, 0), (0, max(count - own.knock.shape[1], 0))))[:, :count]
+        waves.append(gain * np.resize(knock - static, (channels, count)))
+        with_modes = _correlation_with_modes(own, static, knock)
+        correlations.append(np.resize(with_modes, (channels, *with_modes.shape[1:])))
+    waves = np.array(waves)
     energy = np.array([_energy(wave, rate) for wave in waves])
-    return KnockFields(keys, _correlation(waves), waves.shape[-1], energy, _shape(keys, energy), rate)
+    common, shape = _correlation(waves), _shape(keys, energy)
+    return KnockFields(keys, common, waves.shape[-1], energy, np.array(correlations), shape, rate)
+
+
+def _energy(wave: np.ndarray, rate: int) -> np.ndarray:
+    """Energy of a knock in bands and frames, dB [channels, bands, frames]."""
+    power = _power_between(wave, rate)
+    return 10 * np.log10(np.maximum(power, power.max() * 10 ** (-RANGE / 10)))
+
+
+def _correlation_with_modes(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> np.ndarray:
+    """Correlation of knock and modes, from the power of both together and of each [channels, bands, frames].
+
+    Parameters
+    ----------
+    static, knock : knock that cancels the static deflection of the modes, and whole knock [channels, samples].
+    """
+    modes = _ringing(response, static)
+    both, alone, own = (_power_between(wave, response.rate) for wave in (modes + knock - static, modes, knock - static))
+    return np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), TINY), -1.0, 1.0)
+
+
+def _ringing(response: ModalResponse, static: np.ndarray) -> np.ndarray:
+    """Response of the modes to an impulse, without their static deflection [channels, samples]."""
+    lead = round(PRE_ONSET_S * response.rate)
+    modes = sum_damped_modes(response.pole, response.pattern, response.rate, static.shape[1] - lead)
+    return static + np.pad(modes, ((0, 0), (lead, 0)))
+
+
+def _power_between(wave: np.ndarray, rate: int) -> np.ndarray:
+    """Power of a waveform in bands and frames between its partials [channels, bands, frames].
+
+    It is the geometric mean over the bins, which the peaks of partials hardly raise, scaled to the mean of a noise.
+    """
+    return MEAN_OVER_GEOMETRIC * np.exp(_band_means(np.log(_power(wave, rate)), rate))
 
 
 def _shape(keys: np.ndarray, energy: np.ndarray) -> FieldShape:
@@ -102,16 +147,18 @@ def _bands(transform: ShortTimeFFT) -> np.ndarray:
     return np.clip(np.searchsorted(EDGES, transform.f) - 1, 0, len(EDGES) - 2)
 
 
-def _energy(wave: np.ndarray, rate: int) -> np.ndarray:
-    """Typical energy of the bins in bands and frames, dB [channels, bands, frames]."""
-    transform = _transform(rate)
-    power, band = np.abs(transform.stft(wave)) ** 2, _bands(transform)
-    energy = np.zeros((len(wave), len(EDGES) - 1, power.shape[-1]))
+def _power(wave: np.ndarray, rate: int) -> np.ndarray:
+    """Power of the bins [channels, bins, frames] of a waveform [channels, samples]."""
+    return np.maximum(np.abs(_transform(rate).stft(wave)) ** 2, TINY)
+
+
+def _band_means(values: np.ndarray, rate: int) -> np.ndarray:
+    """Means over the bins [channels, bins, frames] of every band, 0 without bins [channels, bands, frames]."""
+    band = _bands(_transform(rate))
+    out = np.zeros((len(values), len(EDGES) - 1, values.shape[-1]))
     for b in np.unique(band):
-        inside = power[:, band == b]
-        few = inside.shape[1] < FEW_BINS
-        energy[:, b] = inside.mean(axis=1) if few else np.median(inside, axis=1) / MEDIAN_OVER_MEAN
-    return 10 * np.log10(np.maximum(energy, energy.max() * 10 ** (-RANGE / 10)))
+        out[:, b] = values[:, band == b].mean(axis=1)
+    return out
 
 
 def _correlation(waves: np.ndarray) -> float:
@@ -121,13 +168,13 @@ def _correlation(waves: np.ndarray) -> float:
     return float(np.mean(np.sum(waves * mono, axis=-1) ** 2 / np.maximum(power, 1e-300)))
 
 
-def guess_knock(knocks: KnockFields, midi: int) -> np.ndarray:
-    """Return the knock of a key without its static part [channels, samples]."""
-    wanted = knocks.energy_of(midi)
+def guess_knock(knocks: KnockFields, midi: int, response: ModalResponse, static: np.ndarray) -> np.ndarray:
+    """Return the knock of a key with these modes, without its `static` part [channels, samples]."""
+    wanted = knocks.noise_power(midi, _power_between(_ringing(response, static), knocks.rate))
     noise = _noise(knocks, len(wanted))
     transform = _transform(knocks.rate)
     band = _bands(transform)
-    shaped = transform.stft(noise) * 10 ** (wanted[:, band] / 20) / math.sqrt(np.sum(transform.win**2))
+    shaped = transform.stft(noise) * np.sqrt(wanted[:, band] / np.sum(transform.win**2))
     wave = np.real(transform.istft(shaped, k1=knocks.samples))
     before = (np.arange(knocks.samples) - round(PRE_ONSET_S * knocks.rate)) / (BEGINNING_S * knocks.rate)
     return wave * np.clip(1 + before, 0.0, 1.0)

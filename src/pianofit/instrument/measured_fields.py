@@ -4,8 +4,8 @@ The partials of a recorded key show how the instrument passes on what its string
 string model struck by the hammer of the laws, and not by the hammer of the key's own fit. Otherwise the difference of
 the two hammers, which the path of the key makes up for, would appear in keys that are guessed from it.
 
-Partials are averaged in cells of frequency as wide as the bands of the ear, as powers: where a band holds several
-partials, the sound has their total energy.
+Partials are averaged in cells of frequency as wide as the bands of the ear, in decibels. A mean of powers would lie
+above that by an amount that depends on the number of partials in a cell, and the low cells hold one.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ THIRDS = 20.0 * 2 ** (np.arange(31) / 3)
 OVERSAMPLED = 8
 # Rate of the simulated contacts, Hz.
 CONTACT_RATE = 44_100
+# Smallest power of a decay curve over its largest: below it are modes that cancel, and rounding.
+LEAST_POWER = 1e-12
 # Smallest power, to take logarithms.
 NOTHING = 1e-300
 
@@ -278,10 +280,9 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
     octave = np.log2(string.frequency)
     mean, size = _cells(octave)
-    by_velocity = 10 * np.log10(mean(power))
+    by_velocity = mean(10 * np.log10(power))
     level = by_velocity.mean(axis=1)
-    geometric = np.exp(np.log(power).mean(axis=1, keepdims=True))
-    curve = 10 * np.log10(np.maximum(mean(geometric * shape), NOTHING))
+    curve = mean(10 * np.log10(np.maximum(shape, LEAST_POWER * shape.max(axis=1, keepdims=True))))
     phasor = np.sign(string.impulse * note.gain) * np.exp(1j * np.angle(mono[strongest]))
     return Cells(
         points=FieldPoints.of_key(mean(octave), key.midi, size),

@@ -83,12 +83,17 @@ def convert(data: Any, kind: type[T], where: str, hint: str, error: type[Pianofi
 
 def builtins_of(record: Any) -> Any:
     """Return a record as dicts, lists, numbers and texts, as a file has it."""
-    return json.loads(encode_json(record))
+    return json.loads(_text(record))
 
 
 def encode_json(record: Any) -> bytes:
     """Return a record as indented JSON without NaN."""
-    return json_text(msgspec.to_builtins(record, enc_hook=_encode)).encode()
+    return _text(record).encode()
+
+
+def _text(record: Any) -> str:
+    """Return a record as JSON; it may hold names of files that UTF-8 does not encode."""
+    return json_text(msgspec.to_builtins(record, enc_hook=_encode))
 
 
 def _encode(value: Any) -> Any:
