@@ -14,12 +14,14 @@ from instrument_cases import ERRORS, PARTS, RATE, document_of, fit_document, run
 from typer.testing import CliRunner
 
 from pianofit.cli import app
+from pianofit.dsp.damped_sums import sum_damped_modes
 from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.instrument import find_fits, load_instrument, load_keys
 from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_keys import guess_response
+from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.key_quantities import stroke_level
 from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, measure_path, string_partials
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse
@@ -89,8 +91,8 @@ def test_neighbouring_guessed_keys_are_equally_loud(built):
         assert np.abs(np.diff(level)[[0, 2, 3, 4, 6]]).max() < most
 
 
-def alike(midi: int, gain_db: float = 0.0, phase: float = 0.4) -> RecordedKey:
-    """A key whose partials all have one level and phase relative to the string model, and the decays of `PARTS`."""
+def alike(midi: int, gain_db: float | np.ndarray = 0.0, phase: float = 0.4) -> RecordedKey:
+    """A key whose 20 partials have these levels and one phase relative to the string model, and decays of `PARTS`."""
     note, law = true_note(midi)._replace(path=None, gain=1.0), StringLaw(0.0, 0.0, 0.01)
     law = law._replace(b1=note.string.b1, d2=note.string.b2 * (np.pi / note.geometry.length) ** 2)
     string, k = string_partials(note, law.strike_sd, 20), np.arange(1, 21)
@@ -131,6 +133,55 @@ def test_a_guess_between_keys_that_are_alike_is_like_them():
         shares = found.pattern.mean(axis=0)[at]
         assert found.pattern[0, at] / found.pattern[1, at] == pytest.approx(3.0, rel=1e-3)
         assert np.angle(shares.sum() * np.sign(string.impulse[k - 1])) == pytest.approx(0.4, abs=0.05)
+
+
+def test_a_guess_has_the_mean_power_of_partials_that_scatter():
+    """Also where a cell holds several partials: a mean of their powers would count the scatter twice."""
+    errors = []
+    for seed in range(3):
+        scatter = 5.0 * np.random.default_rng(seed).normal(size=(36, 20))
+        fields = measure_fields([alike(midi, own) for midi, own in zip(range(36, 72), scatter, strict=True)])
+        excess = []
+        for midi in (43, 47, 51, 55, 59, 63):
+            wanted = alike(midi)
+            found, plain = guess_response(wanted.note, midi, wanted.law, fields), wanted.note.modal_response
+            own = [(found.partial == k, plain.partial == k) for k in range(1, 21)]
+            excess.append([10 * np.log10(energy_of(found, at) / energy_of(plain, same)) for at, same in own])
+        errors.append(np.mean(excess) - 10 * np.log10(np.mean(10 ** (scatter / 10))))
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.3)
+
+
+def with_knock(key: RecordedKey, knock: np.ndarray) -> RecordedKey:
+    """A recorded key with this knock, besides that which cancels the static deflection of its modes."""
+    response = key.note.modal_response
+    response = response._replace(knock=static_part(response) + knock)
+    return replace(key, note=key.note._replace(modal_response=response))
+
+
+def guessed_noise(keys: list[RecordedKey], midi: int) -> np.ndarray:
+    """The noise in the knock of a key that is guessed from others [channels, samples]."""
+    wanted = alike(midi)
+    found = guess_response(wanted.note, midi, wanted.law, measure_fields(keys))
+    return found.knock - static_part(found)
+
+
+def test_a_knock_that_cancels_modes_is_not_guessed_as_noise():
+    """Noise would add its power where the knock takes it away. Independent noise keeps its power."""
+    cancelling, noisy, random = [], [], np.random.default_rng(2)
+    for midi in (44, 48, 52, 56):
+        key = alike(midi)
+        response = key.note.modal_response
+        static, lead = static_part(response), round(PRE_ONSET_S * RATE)
+        modes = sum_damped_modes(response.pole, response.pattern, RATE, static.shape[1] - lead)
+        ringing = static + np.pad(modes, ((0, 0), (lead, 0)))
+        cancelling.append(with_knock(key, -0.5 * ringing))
+        fading = np.exp(-np.arange(static.shape[1]) / (0.1 * RATE))
+        noise = random.normal(size=static.shape) * ringing.std() * fading
+        noisy.append((with_knock(key, noise), noise, ringing))
+    silent, noise = guessed_noise(cancelling, 50), guessed_noise([key for key, *_ in noisy], 50)
+    assert np.sum(silent**2) < 0.01 * np.sum(noisy[0][2] ** 2)
+    own = np.mean([np.sum(wave[:, lead:] ** 2) for _, wave, _ in noisy])
+    assert 10 * np.log10(np.sum(noise**2) / own) == pytest.approx(0.0, abs=1.5)
 
 
 def test_the_difference_of_two_hammers_is_not_a_level():

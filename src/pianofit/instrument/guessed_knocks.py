@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import ShortTimeFFT
 
+from ..conversions import DB
 from ..dsp.damped_sums import sum_damped_modes
 from ..model.modal_response import KNOCK_SECONDS, PRE_ONSET_S, ModalResponse, cancel_static_deflection
 from .fields import Field, FieldPoints, FieldShape, field_shape
@@ -53,9 +54,12 @@ class KnockFields(NamedTuple):
     def noise_power(self, midi: int, modes: np.ndarray) -> np.ndarray:
         """Predict the power of the noise of a key [channels, bands, frames] from that of its modes."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
-        weights = Field(points, self.shape).weights(FieldPoints.of_key(np.zeros(1), midi))[0]
-        knock = 10 ** (points.predict(weights, self.energy) / 10)
-        added = knock + 2 * points.predict(weights, self.with_modes) * np.sqrt(knock * modes)
+        field, at = Field(points, self.shape), FieldPoints.of_key(np.zeros(1), midi)
+        weights = field.weights(at)
+        # The expected power, as of the partials (`guessed_keys`).
+        energy = points.predict(weights, self.energy)[0] + field.variance(weights, at) / DB
+        knock, correlation = 10 ** (energy / 10), points.predict(weights, self.with_modes)[0]
+        added = knock + 2 * correlation * np.sqrt(knock * modes)
         return np.clip(added, 0.0, knock)
 
 
