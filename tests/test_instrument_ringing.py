@@ -184,6 +184,16 @@ def test_a_knock_that_cancels_modes_is_not_guessed_as_noise():
     assert 10 * np.log10(np.sum(noise**2) / own) == pytest.approx(0.0, abs=1.5)
 
 
+def test_a_key_without_a_knock_may_have_the_highest_rate():
+    key, silent = alike(44), alike(56)
+    noise = np.random.default_rng(0).normal(size=static_part(key.note.modal_response).shape)
+    fast = silent.note.modal_response._replace(rate=2 * RATE)
+    silent, wanted = replace(silent, note=silent.note._replace(modal_response=fast)), alike(50)
+    found = guess_response(wanted.note, 50, wanted.law, measure_fields([with_knock(key, noise), silent]))
+    assert found.rate == 2 * RATE
+    assert found.knock.shape == static_part(found).shape
+
+
 def test_the_difference_of_two_hammers_is_not_a_level():
     """A hammer of half the weight, with a path that makes up for it, gives the same field."""
     at = 4.0

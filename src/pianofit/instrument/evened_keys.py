@@ -25,11 +25,10 @@ from ..conversions import LOWEST_KEY
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw
-from .fields import Field
+from .fields import NOTHING, Field
 from .guessed_knocks import static_part
 from .key_quantities import stroke_level
 from .measured_fields import (
-    NOTHING,
     TIMES,
     Cells,
     KeyFields,

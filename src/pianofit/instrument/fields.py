@@ -29,6 +29,8 @@ SPREADS = ("common_sd", "trend_sd", "drift_sd", "residual")
 MOST_POINTS = 500
 # Share of the variance added to the diagonal: rounding.
 JITTER = 1e-8
+# Smallest power, to take logarithms and ratios.
+NOTHING = 1e-300
 # Smallest standard deviation of the measured values: a constant needs no law.
 LEAST_SD = 1e-6
 

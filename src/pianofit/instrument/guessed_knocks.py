@@ -22,7 +22,7 @@ from scipy.signal import ShortTimeFFT
 from ..conversions import DB
 from ..dsp.damped_sums import sum_damped_modes
 from ..model.modal_response import KNOCK_SECONDS, PRE_ONSET_S, ModalResponse, cancel_static_deflection
-from .fields import Field, FieldPoints, FieldShape, field_shape
+from .fields import NOTHING, Field, FieldPoints, FieldShape, field_shape
 
 # Window of the frames and their distance, s: a knock changes within some ten milliseconds.
 WINDOW_S, HOP_S = 0.02, 0.005
@@ -36,8 +36,6 @@ BEGINNING_S = 0.001
 SEED = 0
 # Range of the energies, dB below the loudest cell of the knock. Fainter cells are rounding.
 RANGE = 80.0
-# Smallest power, to take logarithms and ratios.
-TINY = 1e-300
 
 
 class KnockFields(NamedTuple):
@@ -70,20 +68,19 @@ def static_part(response: ModalResponse) -> np.ndarray:
 
 
 def measure_knocks(
-    keys: np.ndarray, responses: list[ModalResponse], gains: np.ndarray, channels: int
+    keys: np.ndarray, responses: list[ModalResponse], gains: np.ndarray, channels: int, rate: int
 ) -> KnockFields | None:
     """Measure the knocks of the recorded keys that have one; None if none has.
 
     Parameters
     ----------
     gains : gain of each key times the force of its own hammer over that of the laws [keys].
-    channels : number of channels of the instrument.
+    channels, rate : number of channels of the instrument, and rate of its responses, Hz.
     """
     with_knock = [i for i, response in enumerate(responses) if response.knock.shape[-1]]
     if not with_knock:
         return None
     keys, gains, responses = keys[with_knock], gains[with_knock], [responses[i] for i in with_knock]
-    rate = max(response.rate for response in responses)
     waves, correlations = [], []
     for response, gain in zip(responses, gains, strict=True):
         own = response.at(rate)
@@ -114,7 +111,7 @@ def _correlation_with_modes(response: ModalResponse, static: np.ndarray, knock: 
     """
     modes = _ringing(response, static)
     both, alone, own = (_power_between(wave, response.rate) for wave in (modes + knock - static, modes, knock - static))
-    return np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), TINY), -1.0, 1.0)
+    return np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), NOTHING), -1.0, 1.0)
 
 
 def _ringing(response: ModalResponse, static: np.ndarray) -> np.ndarray:
@@ -153,7 +150,7 @@ def _bands(transform: ShortTimeFFT) -> np.ndarray:
 
 def _power(wave: np.ndarray, rate: int) -> np.ndarray:
     """Power of the bins [channels, bins, frames] of a waveform [channels, samples]."""
-    return np.maximum(np.abs(_transform(rate).stft(wave)) ** 2, TINY)
+    return np.maximum(np.abs(_transform(rate).stft(wave)) ** 2, NOTHING)
 
 
 def _band_means(values: np.ndarray, rate: int) -> np.ndarray:
@@ -169,7 +166,7 @@ def _correlation(waves: np.ndarray) -> float:
     """Mean correlation of the channels with their mean, squared; 1 for one channel."""
     mono = waves.mean(axis=1, keepdims=True)
     power = np.sum(waves**2, axis=-1) * np.sum(mono**2, axis=-1)
-    return float(np.mean(np.sum(waves * mono, axis=-1) ** 2 / np.maximum(power, 1e-300)))
+    return float(np.mean(np.sum(waves * mono, axis=-1) ** 2 / np.maximum(power, NOTHING)))
 
 
 def guess_knock(knocks: KnockFields, midi: int, response: ModalResponse, static: np.ndarray) -> np.ndarray:

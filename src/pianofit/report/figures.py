@@ -123,8 +123,10 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]], named:
             continue
         is_narrow = (high - low) < 0.25 * (stop - start)
         text = label.split(":")[0] + (", excluded" if is_excluded else "") if is_narrow else label
-        # Right-aligned in a narrow band at the end, so that the text stays within the frame.
-        x, side = (high, "right") if is_narrow and high == stop else ((low + high) / 2, "center")
+        # Aligned with the frame in a narrow band at its end, so that the text stays inside.
+        x, side = (low + high) / 2, "center"
+        if is_narrow and (low == start or high == stop):
+            x, side = (low, "left") if low == start else (high, "right")
         axes.text(x, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
