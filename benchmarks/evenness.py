@@ -41,7 +41,9 @@ def quantities(note, velocity: float) -> tuple[float, float, float]:
     used = curve > curve[0] - FALL
     used[:2] = True
     slope = -float(np.polyfit(time[used], curve[used], 1)[0])
-    power = (np.abs(np.fft.rfft(sound * np.hanning(sound.shape[-1]))) ** 2).sum(axis=0)
+    fade = np.hanning(sound.shape[-1])  # its second half: a whole window would leave out the attack
+    fade[: len(fade) // 2] = 1.0
+    power = (np.abs(np.fft.rfft(sound * fade)) ** 2).sum(axis=0)
     below = np.fft.rfftfreq(sound.shape[-1], 1 / RATE) < LOW * note.f0
     return level, slope, 10 * np.log10(power[below].sum() / power.sum())
 

@@ -27,7 +27,7 @@ from ..felt import law_of
 from ..model.modal_response import ModalResponse, VelocityGain
 from ..model.note import Note
 from ..schema.instrument import KeyboardLaw
-from .fields import FieldPoints
+from .fields import NOTHING, FieldPoints
 from .guessed_knocks import guess_knock, static_part
 from .instrument import Key
 from .key_quantities import key_quantities, note_from_quantities
@@ -44,6 +44,12 @@ from .measured_fields import (
 
 # Decay rates of the exponentials, over that of the laws.
 RATIOS = np.geomspace(0.02, 200, 41)
+# Steps by which they are refined, the damping of the first, its factor after each, and the largest change of a
+# logarithm. With 20 steps the squared error is 0.6 % smaller.
+REFINEMENTS = 5
+FIRST_DAMPING = 1e-2
+DAMPING_FACTOR = 10.0
+LONGEST_STEP = 1.0
 # Curves are compared down to this level below their start, dB.
 DOWN = 60.0
 # Fewest partials of a guessed key.
@@ -113,15 +119,16 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     at, cells = FieldPoints.of_key(np.log2(string.frequency), midi), fields.cells
     weights = fields.level.weights(at)
     curves = cells.points.predict(fields.curve.weights(at), cells.curve)
-    share = np.stack([_exponentials(curve) for curve in curves])
-    energy = np.einsum("ki,kij,kj->k", share, level_energy(rate[:, None, None] * (RATIOS[:, None] + RATIOS)), share)
+    share, ratio = _exponentials(curves)
+    decay = ratio * rate[:, None]
+    energy = np.einsum("ki,kij,kj->k", share, level_energy(decay[:, :, None] + decay[:, None]), share)
     size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)
     # The expected power of a partial, whose level is uncertain.
     level = cells.points.predict(weights, cells.level) + fields.level.variance(weights, at) / DB
     size *= 10 ** (level / 20)
     channels = size[:, None] * _draw_channels(weights, fields, np.random.default_rng([SEED, midi]))
     i, j = np.nonzero(share)
-    pole = -RATIOS[j] * rate[i] + 2j * np.pi * string.frequency[i]
+    pole = -decay[i, j] + 2j * np.pi * string.frequency[i]
     pattern = (channels[i] * share[i, j, None]).T
     gain = VelocityGain(VELOCITIES, 10 ** (cells.points.predict(weights, cells.change)[i].T / 20) + 0j)
     empty = np.zeros((len(pattern), 0))
@@ -148,20 +155,28 @@ def _draw_channels(weights: np.ndarray, fields: KeyFields, random: np.random.Gen
     phase = np.exp(1j * np.angle(phase + free * _complex_normal(random, shape[:1])))
     side = cells.points.predict(weights, cells.side) - 1
     missing = np.maximum(cells.points.predict(weights, cells.side_power) - (np.abs(side) ** 2).mean(axis=1), 0.0)
-    side = side + np.sqrt(missing)[:, None] * _complex_normal(random, shape)
-    return phase[:, None] * (1 + side - side.mean(axis=1, keepdims=True))
+    drawn = _complex_normal(random, shape)
+    drawn -= drawn.mean(axis=1, keepdims=True)
+    drawn *= np.sqrt(missing / np.maximum((np.abs(drawn) ** 2).mean(axis=1), NOTHING))[:, None]
+    return phase[:, None] * (1 + side - side.mean(axis=1, keepdims=True) + drawn)
 
 
 def _complex_normal(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return (random.normal(size=shape) + 1j * random.normal(size=shape)) / np.sqrt(2)
 
 
-def _exponentials(curve: np.ndarray) -> np.ndarray:
-    """Amplitudes [ratios], at most two of them above 0, of exponentials that fit a curve, dB [times].
+def _exponentials(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit prompt sound and aftersound, two exponentials, to decay curves, dB [partials, times]: least relative errors.
 
-    The two are those with the least relative error: prompt sound and aftersound.
+    Returns amplitudes [partials, 2], of which the second may be 0, and decay rates over that of the laws [partials, 2].
     """
-    used = curve > curve[0] - DOWN
+    used = curves > curves[:, :1] - DOWN
+    amplitude, ratio = (np.array(column) for column in zip(*map(_nearest_pair, curves, used), strict=True))
+    return _refine(amplitude, ratio, used / 10 ** (curves / 20))
+
+
+def _nearest_pair(curve: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes and ratios of the two exponentials among `RATIOS` that are nearest to a curve [2], [2]."""
     amplitude = 10 ** (curve[used] / 20)
     parts = np.exp(-np.outer(TIMES[used], RATIOS)) / amplitude[:, None]
     gram, right = parts.T @ parts, parts.sum(axis=0)
@@ -170,9 +185,40 @@ def _exponentials(curve: np.ndarray) -> np.ndarray:
     pair = pair / (own[i] * own[j] - gram[i, j] ** 2)
     # The squared error is the number of times minus this.
     explained = np.where((pair >= 0).all(axis=0), right[i] * pair[0] + right[j] * pair[1], -np.inf)
-    single, best, found = right**2 / own, int(np.argmax(explained)), np.zeros(len(RATIOS))
+    single, best = right**2 / own, int(np.argmax(explained))
     if explained[best] > single.max():
-        found[[i[best], j[best]]] = pair[:, best]
-    else:
-        found[np.argmax(single)] = (right / own)[np.argmax(single)]
-    return found
+        return pair[:, best], RATIOS[[i[best], j[best]]]
+    best = int(np.argmax(single))
+    return np.array([right[best] / own[best], 0.0]), RATIOS[[best, best]]
+
+
+def _refine(amplitude: np.ndarray, ratio: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Refine exponentials of the grid `RATIOS`, so that they change as smoothly from key to key as their curves.
+
+    Levenberg and Marquardt's method, for all partials at once.
+
+    Parameters
+    ----------
+    amplitude, ratio : of two exponentials [partials, 2].
+    scale : one over the values of the curves, 0 where they do not count [partials, times].
+    """
+
+    def deviations(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts = np.exp(shape[:, None, :2] - TIMES[:, None] * np.exp(shape[:, None, 2:])) * scale[..., None]
+        return parts, parts.sum(axis=2) - (scale > 0)
+
+    shape = np.log(np.maximum(np.concatenate([amplitude, ratio], axis=1), NOTHING))
+    damping = np.full(len(shape), FIRST_DAMPING)
+    parts, deviation = deviations(shape)
+    for _ in range(REFINEMENTS):
+        slopes = np.concatenate([parts, -TIMES[:, None] * np.exp(shape[:, None, 2:]) * parts], axis=2)
+        normal = slopes.transpose(0, 2, 1) @ slopes
+        normal += damping[:, None, None] * (normal * np.eye(4)) + NOTHING * np.eye(4)
+        gradient = slopes.transpose(0, 2, 1) @ deviation[..., None]
+        tried = shape - np.clip(np.linalg.solve(normal, gradient)[..., 0], -LONGEST_STEP, LONGEST_STEP)
+        new_parts, new = deviations(tried)
+        better = (new**2).sum(axis=1) < (deviation**2).sum(axis=1)
+        shape, deviation = np.where(better[:, None], tried, shape), np.where(better[:, None], new, deviation)
+        parts = np.where(better[:, None, None], new_parts, parts)
+        damping = damping * np.where(better, 1 / DAMPING_FACTOR, DAMPING_FACTOR)
+    return np.where(amplitude > 0, np.exp(shape[:, :2]), 0.0), np.exp(shape[:, 2:])

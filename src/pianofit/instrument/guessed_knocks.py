@@ -13,7 +13,9 @@ modes there. It follows from the energies of knock and modes and from their corr
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +26,13 @@ from ..dsp.damped_sums import sum_damped_modes
 from ..model.modal_response import KNOCK_SECONDS, PRE_ONSET_S, ModalResponse, cancel_static_deflection
 from .fields import NOTHING, Field, FieldPoints, FieldShape, field_shape
 
-# Window of the frames and their distance, s: a knock changes within some ten milliseconds.
-WINDOW_S, HOP_S = 0.02, 0.005
 # Edges of the bands, Hz: half octaves.
 EDGES = 20.0 * 2 ** (np.arange(21) / 2)
+# Windows of the frames, s, and the first of the `EDGES` of their bands. A knock changes within some ten milliseconds,
+# but a window must be long enough to separate the bands: soundboards radiate little below some 80 Hz.
+WINDOWS = ((0.32, 0), (0.08, 5), (0.02, 9))
+# Distance of the frames over their window.
+HOP = 0.25
 # Mean of the power of a Gaussian noise over its geometric mean: exp of Euler's constant.
 MEAN_OVER_GEOMETRIC = math.exp(np.euler_gamma)
 # Duration of the beginning of a knock before the contact, s: its frames are longer, and would spread it.
@@ -39,26 +44,29 @@ RANGE = 80.0
 
 
 class KnockFields(NamedTuple):
-    """Knocks of the recorded keys."""
+    """Knocks of the recorded keys. `energy` and `with_modes` have one array for each of the `WINDOWS`."""
 
     keys: np.ndarray  # MIDI numbers [keys]
     correlation: float  # of the waveforms of two channels
     samples: int  # of a knock, from `PRE_ONSET_S` before the contact
-    energy: np.ndarray  # dB [keys, channels, bands, frames]
-    with_modes: np.ndarray  # correlation of knock and modes, -1 to 1 [keys, channels, bands, frames]
+    energy: tuple[np.ndarray, ...]  # dB [keys, channels, bands, frames]
+    with_modes: tuple[np.ndarray, ...]  # correlation of knock and modes, -1 to 1 [keys, channels, bands, frames]
     shape: FieldShape  # of the energy over frequency and key
     rate: int  # Hz
 
-    def noise_power(self, midi: int, modes: np.ndarray) -> np.ndarray:
-        """Predict the power of the noise of a key [channels, bands, frames] from that of its modes."""
+    def noise_power(self, midi: int, modes: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Predict the power of the noise of a key from that of its modes, [channels, bands, frames] for each window."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
         field, at = Field(points, self.shape), FieldPoints.of_key(np.zeros(1), midi)
         weights = field.weights(at)
         # The expected power, as of the partials (`guessed_keys`).
-        energy = points.predict(weights, self.energy)[0] + field.variance(weights, at) / DB
-        knock, correlation = 10 ** (energy / 10), points.predict(weights, self.with_modes)[0]
-        added = knock + 2 * correlation * np.sqrt(knock * modes)
-        return np.clip(added, 0.0, knock)
+        surplus = field.variance(weights, at) / DB
+        out = []
+        for energy, with_modes, ringing in zip(self.energy, self.with_modes, modes, strict=True):
+            knock = 10 ** ((points.predict(weights, energy)[0] + surplus) / 10)
+            correlation = points.predict(weights, with_modes)[0]
+            out.append(np.clip(knock + 2 * correlation * np.sqrt(knock * ringing), 0.0, knock))
+        return out
 
 
 def static_part(response: ModalResponse) -> np.ndarray:
@@ -89,29 +97,38 @@ def measure_knocks(
         knock = np.pad(own.knock, ((0, 0), (0, max(count - own.knock.shape[1], 0))))[:, :count]
         waves.append(gain * np.resize(knock - static, (channels, count)))
         with_modes = _correlation_with_modes(own, static, knock)
-        correlations.append(np.resize(with_modes, (channels, *with_modes.shape[1:])))
+        correlations.append([np.resize(of, (channels, *of.shape[1:])) for of in with_modes])
     waves = np.array(waves)
-    energy = np.array([_energy(wave, rate) for wave in waves])
+    energy = _by_window(_energy(wave, rate) for wave in waves)
     common, shape = _correlation(waves), _shape(keys, energy)
-    return KnockFields(keys, common, waves.shape[-1], energy, np.array(correlations), shape, rate)
+    return KnockFields(keys, common, waves.shape[-1], energy, _by_window(correlations), shape, rate)
 
 
-def _energy(wave: np.ndarray, rate: int) -> np.ndarray:
-    """Energy of a knock in bands and frames, dB [channels, bands, frames]."""
-    power = _power_between(wave, rate)
-    return 10 * np.log10(np.maximum(power, power.max() * 10 ** (-RANGE / 10)))
+def _by_window(keys: Iterable[Sequence[np.ndarray]]) -> tuple[np.ndarray, ...]:
+    """Put arrays of several keys together for each of the `WINDOWS`."""
+    return tuple(np.array(of_keys) for of_keys in zip(*keys, strict=True))
 
 
-def _correlation_with_modes(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> np.ndarray:
-    """Correlation of knock and modes, from the power of both together and of each [channels, bands, frames].
+def _energy(wave: np.ndarray, rate: int) -> list[np.ndarray]:
+    """Energy of a knock in bands and frames, dB, [channels, bands, frames] for each window."""
+    powers = _power_between(wave, rate)
+    least = max(power.max() for power in powers) * 10 ** (-RANGE / 10)
+    return [10 * np.log10(np.maximum(power, least)) for power in powers]
+
+
+def _correlation_with_modes(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> list[np.ndarray]:
+    """Correlation of knock and modes, from the power of both together and of each, [channels, bands, frames] a window.
 
     Parameters
     ----------
     static, knock : knock that cancels the static deflection of the modes, and whole knock [channels, samples].
     """
     modes = _ringing(response, static)
-    both, alone, own = (_power_between(wave, response.rate) for wave in (modes + knock - static, modes, knock - static))
-    return np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), NOTHING), -1.0, 1.0)
+    powers = (_power_between(wave, response.rate) for wave in (modes + knock - static, modes, knock - static))
+    return [
+        np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), NOTHING), -1.0, 1.0)
+        for both, alone, own in zip(*powers, strict=True)
+    ]
 
 
 def _ringing(response: ModalResponse, static: np.ndarray) -> np.ndarray:
@@ -121,45 +138,45 @@ def _ringing(response: ModalResponse, static: np.ndarray) -> np.ndarray:
     return static + np.pad(modes, ((0, 0), (lead, 0)))
 
 
-def _power_between(wave: np.ndarray, rate: int) -> np.ndarray:
-    """Power of a waveform in bands and frames between its partials [channels, bands, frames].
+def _power_between(wave: np.ndarray, rate: int) -> list[np.ndarray]:
+    """Power of a waveform between its partials in bands and frames, [channels, bands, frames] for each window.
 
     It is the geometric mean over the bins, which the peaks of partials hardly raise, scaled to the mean of a noise.
     """
-    return MEAN_OVER_GEOMETRIC * np.exp(_band_means(np.log(_power(wave, rate)), rate))
+    out = []
+    for window in _windows(rate):
+        power = np.abs(window.transform.stft(wave)) ** 2 / np.sum(window.transform.win**2)
+        logs = np.log(np.maximum(power, NOTHING))
+        means = [logs[:, window.band == band].mean(axis=1) for band in range(window.band.max() + 1)]
+        out.append(MEAN_OVER_GEOMETRIC * np.exp(np.stack(means, axis=1)))
+    return out
 
 
-def _shape(keys: np.ndarray, energy: np.ndarray) -> FieldShape:
+class _Window(NamedTuple):
+    """Frames of one length."""
+
+    transform: ShortTimeFFT
+    band: np.ndarray  # band of each bin, from 0; -1 for bins of other windows [bins]
+
+
+@functools.cache
+def _windows(rate: int) -> tuple[_Window, ...]:
+    """Return the `WINDOWS` at a rate, Hz."""
+    ends = (*(first for _, first in WINDOWS[1:]), len(EDGES) - 1)
+    out = []
+    for (seconds, first), end in zip(WINDOWS, ends, strict=True):
+        size = round(seconds * rate)
+        transform = ShortTimeFFT(np.hanning(size + 2)[1:-1], round(HOP * size), rate, fft_mode="onesided")
+        band = np.clip(np.searchsorted(EDGES, transform.f) - 1, 0, len(EDGES) - 2)
+        out.append(_Window(transform, np.where((band >= first) & (band < end), band - first, -1)))
+    return tuple(out)
+
+
+def _shape(keys: np.ndarray, energy: Sequence[np.ndarray]) -> FieldShape:
     """Estimate how the energy changes over frequency and key, from its mean over channels and frames."""
     octave = np.log2(EDGES[:-1] * EDGES[1:]) / 2
-    points = FieldPoints(
-        np.tile(octave, len(keys)), np.repeat(keys, len(octave)), np.ones(energy.shape[0] * len(octave))
-    )
-    return field_shape(points, (energy - energy.mean(axis=0)).mean(axis=(1, 3)).ravel())
-
-
-def _transform(rate: int) -> ShortTimeFFT:
-    size = round(WINDOW_S * rate)
-    return ShortTimeFFT(np.hanning(size + 2)[1:-1], round(HOP_S * rate), rate, fft_mode="onesided")
-
-
-def _bands(transform: ShortTimeFFT) -> np.ndarray:
-    """Band of each bin [bins]."""
-    return np.clip(np.searchsorted(EDGES, transform.f) - 1, 0, len(EDGES) - 2)
-
-
-def _power(wave: np.ndarray, rate: int) -> np.ndarray:
-    """Power of the bins [channels, bins, frames] of a waveform [channels, samples]."""
-    return np.maximum(np.abs(_transform(rate).stft(wave)) ** 2, NOTHING)
-
-
-def _band_means(values: np.ndarray, rate: int) -> np.ndarray:
-    """Means over the bins [channels, bins, frames] of every band, 0 without bins [channels, bands, frames]."""
-    band = _bands(_transform(rate))
-    out = np.zeros((len(values), len(EDGES) - 1, values.shape[-1]))
-    for b in np.unique(band):
-        out[:, b] = values[:, band == b].mean(axis=1)
-    return out
+    points = FieldPoints(np.tile(octave, len(keys)), np.repeat(keys, len(octave)), np.ones(len(keys) * len(octave)))
+    return field_shape(points, np.hstack([(of - of.mean(axis=0)).mean(axis=(1, 3)) for of in energy]).ravel())
 
 
 def _correlation(waves: np.ndarray) -> float:
@@ -172,12 +189,12 @@ def _correlation(waves: np.ndarray) -> float:
 def guess_knock(knocks: KnockFields, midi: int, response: ModalResponse, static: np.ndarray) -> np.ndarray:
     """Return the knock of a key with these modes, without its `static` part [channels, samples]."""
     wanted = knocks.noise_power(midi, _power_between(_ringing(response, static), knocks.rate))
-    noise = _noise(knocks, len(wanted))
-    transform = _transform(knocks.rate)
-    band = _bands(transform)
-    shaped = transform.stft(noise) * np.sqrt(wanted[:, band] / np.sum(transform.win**2))
-    wave = np.real(transform.istft(shaped, k1=knocks.samples))
-    before = (np.arange(knocks.samples) - round(PRE_ONSET_S * knocks.rate)) / (BEGINNING_S * knocks.rate)
+    noise, lead = _noise(knocks, len(wanted[0])), PRE_ONSET_S * knocks.rate
+    wave = np.zeros_like(noise)
+    for (transform, band), power in zip(_windows(knocks.rate), wanted, strict=True):
+        shares = np.where((band >= 0)[:, None], power[:, band], 0.0)
+        wave += transform.istft(transform.stft(noise) * np.sqrt(shares), k1=knocks.samples).real
+    before = (np.arange(knocks.samples) - lead) / (BEGINNING_S * knocks.rate)
     return wave * np.clip(1 + before, 0.0, 1.0)
 
 
