@@ -1,16 +1,19 @@
-"""Notes of all minima: string, hammer, and the output path that F integrates out, with its velocity discrepancy.
+"""The minima of a fit, and their notes: string, hammer, and the output path that F integrates out.
 
-The velocity discrepancy is the posterior mean of F's random walk over log velocity. Between strokes it is linear in log
-velocity, beyond them constant.
+The velocity discrepancy of a path is the posterior mean of F's random walk over log velocity. Between strokes it is
+linear in log velocity, beyond them constant.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..dsp.knock_band import centre
 from ..inference import (
     KNOCK,
+    LOG_ABSENT_LOSS,
     STRING_SIZE,
     FitProblem,
     InferenceResult,
@@ -20,6 +23,8 @@ from ..inference import (
 )
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
+from ..schema.fit import Minimum, VelocityDiscrepancyEntry
+from ..schema.quantities import Covariance
 
 
 def notes_of(fit: InferenceResult, which: int) -> list[Note]:
@@ -68,3 +73,29 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: L
         if len(velocities) > 1
         else None,
     )
+
+
+def minima_of(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Minimum, ...]:
+    """Every minimum; output paths are those of the reference recording."""
+    u, minima, records = fit.problem.parametrisation, fit.estimate.minima, []
+    for b, weight in enumerate(fit.posterior.weight):
+        log = dict(zip(u.names, fit.posterior.mean[b], strict=False))
+        path = notes[b][fit.problem.reference].path
+        records.append(
+            Minimum(
+                weight=float(weight),
+                negative_log_posterior=float(minima.nll[b]),
+                parameters={n: u.value(n, log[n]) for n in u.reported if log[n] > LOG_ABSENT_LOSS},
+                stroke_values=np.exp(minima.candidates.theta[b, u.velocities]),
+                path_db=None if path is None else path.db,
+                path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
+                covariance=covariance_of(fit, b),
+            )
+        )
+    return tuple(records)
+
+
+def covariance_of(fit: InferenceResult, minimum: int) -> Covariance:
+    """Covariance of the logarithms of the parameters and velocities at a minimum, by name."""
+    names = fit.problem.parameter_indices
+    return Covariance(tuple(names), fit.posterior.covariance[minimum][np.ix_([*names.values()], [*names.values()])])
