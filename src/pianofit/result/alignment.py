@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..dsp.filters import fractional_lag, locate_template
-from ..inference import FitProblem
 from ..model.note import Note
 from ..model.simulate import Simulation
 from ..recording.onset import find_onset
@@ -19,13 +16,6 @@ ATTACK_SECONDS, LEAD_SECONDS = 0.15, 0.05
 NOISE_SECONDS = 0.02
 # s of the attack that is aligned with a calibrated recording.
 ALIGNED_SECONDS = 0.05
-
-
-def contact_onsets(problem: FitProblem, notes: Sequence[Note]) -> list[int | None]:
-    """Sample index of the first contact in every calibrated recording; None where the onset determines it."""
-    scale = problem.initial_values.scale
-    gain = None if scale is None else 1.0 / scale
-    return [contact_onset(note, gain, recording) for recording, note in zip(problem.recordings, notes, strict=True)]
 
 
 def contact_onset(note: Note, gain: float | None, recording: Recording) -> int | None:

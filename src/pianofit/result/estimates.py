@@ -153,13 +153,7 @@ def _combined(
 
 
 def _ratio(
-    fit: InferenceResult,
-    states: Statuses,
-    name: str,
-    of: str,
-    size: str,
-    factor: float = 1.0,
-    unit: str = "1",
+    fit: InferenceResult, states: Statuses, name: str, of: str, size: str, factor: float = 1.0, unit: str = "1"
 ) -> Quantity:
     """The parameter `of` over `factor` times a size.
 

@@ -11,16 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dsp.knock_band import centre
-from ..inference import (
-    KNOCK,
-    LOG_ABSENT_LOSS,
-    STRING_SIZE,
-    FitProblem,
-    InferenceResult,
-    LatentPosterior,
-    Minima,
-    string_law,
-)
+from ..inference import KNOCK, LOG_ABSENT_LOSS, STRING_SIZE, FitProblem, InferenceResult, LatentPosterior, string_law
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
 from ..schema.fit import Minimum, VelocityDiscrepancyEntry
@@ -29,10 +20,10 @@ from ..schema.quantities import Covariance
 
 def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
-    problem, minima, latent = fit.problem, fit.estimate.minima, fit.latent(which)
-    u, z, group = problem.parametrisation, minima.candidates.theta[which], problem.structure.group
+    problem, z, latent = fit.problem, fit.estimate.minima.candidates.theta[which], fit.latent(which)
+    u, group = problem.parametrisation, problem.structure.group
     paths = [
-        _path(problem, minima, which, index, latent) if problem.has_unknown_path else None
+        _path(problem, z, index, latent) if problem.has_unknown_path else None
         for index in range(problem.structure.groups)
     ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)
@@ -49,16 +40,15 @@ def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     ]
 
 
-def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: LatentPosterior) -> OutputPath:
-    """Posterior mean of a group's output path, dB, at its detected partials.
+def _path(problem: FitProblem, theta: np.ndarray, group: int, latent: LatentPosterior) -> OutputPath:
+    """Posterior mean of a group's output path, dB, at its detected partials, for the parameters `theta` [size].
 
     Frequencies are those of the string model, since partials are identified by number.
     """
-    observed, candidates = problem.observed, minima.candidates
+    observed, u = problem.observed, problem.parametrisation
     recordings = np.flatnonzero(np.array(problem.structure.group) == group)
     detected = np.any(np.asarray(observed.level.detected)[recordings] > 0, axis=0)
     number = observed.number[detected]
-    u, theta = problem.parametrisation, candidates.theta[which]
     string = u.model_entries(theta)[:STRING_SIZE]
     frequency = string_law(string, np.maximum(number, 1), problem.initial_values.geometry.length)[0][0]
     f0 = float(np.exp(string[0])) / (2 * problem.initial_values.geometry.length)

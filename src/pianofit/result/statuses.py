@@ -37,24 +37,18 @@ class Statuses:
     unidentifiable: tuple[str, ...]  # hammer parameters that are not identifiable, even if their interval is narrow
     compared: bool  # by `path_compared`
     velocity_range: tuple[float, float, float]
-    exceeds_pianist: bool
+    exceeds_pianist: bool  # whether the velocities certainly differ by more than those of a pianist
 
 
 def statuses(fit: InferenceResult) -> Statuses:
     """The statuses of a fit."""
-    compared, law = path_compared(fit), fit.problem.parametrisation.law
-    parts = undetermined(fit, compared)
+    compared, span, law = path_compared(fit), velocity_range(fit), fit.problem.parametrisation.law
+    exceeds_pianist = span[0] > PIANIST_VELOCITY_RATIO
+    parts = undetermined(fit, compared, exceeds_pianist)
     scaled = law.parameters_with_unit("N m") if fit.problem.velocity_scale_free and compared else ()
     unidentifiable = tuple(law.parameters) * (FELT in parts) + ("M_H",) * bool(parts & {*foundations("M_H")})
-    return Statuses(
-        _of_parameters(fit, scaled, unidentifiable),
-        _of_velocities(fit, VELOCITIES in parts),
-        scaled,
-        unidentifiable,
-        compared,
-        velocity_range(fit),
-        exceeds_pianist(fit),
-    )
+    parameters, velocities = _of_parameters(fit, scaled, unidentifiable), _of_velocities(fit, VELOCITIES in parts)
+    return Statuses(parameters, velocities, scaled, unidentifiable, compared, span, exceeds_pianist)
 
 
 def _of_parameters(fit: InferenceResult, scaled: Sequence[str], unidentifiable: Sequence[str]) -> dict[str, Status]:
@@ -117,12 +111,7 @@ def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     return low, ratio, high
 
 
-def exceeds_pianist(fit: InferenceResult) -> bool:
-    """True if the velocities of the strokes certainly differ by more than those of a pianist."""
-    return velocity_range(fit)[0] > PIANIST_VELOCITY_RATIO
-
-
-def undetermined(fit: InferenceResult, compared: bool) -> frozenset[str]:
+def undetermined(fit: InferenceResult, compared: bool, exceeds_pianist: bool) -> frozenset[str]:
     """Parts of the model on which the recordings have no evidence: of `FELT`, `CONTACT` and `VELOCITIES`.
 
     K_H, p and μ alone can be wide while their combination is not. The felt is undetermined if its force where the
@@ -135,7 +124,7 @@ def undetermined(fit: InferenceResult, compared: bool) -> frozenset[str]:
         felt = frozenset({FELT} if fit.excess > FELT_EXCESS_DB else ())
         parts = everything if fit.excess > HAMMER_EXCESS_DB else felt
     elif compared:
-        parts = everything if exceeds_pianist(fit) else frozenset()
+        parts = everything if exceeds_pianist else frozenset()
     else:  # with an unknown gain alone, the force is known up to a factor
         parts = everything if problem.has_unknown_path else frozenset({FELT, VELOCITIES})
     force = force_direction(fit)

@@ -36,6 +36,7 @@ STROKE_SCATTER_DB = 1.0
 # exponent this is 1.4 to 3.8 in the middle of the keyboard. One value in a hundred deviates more by chance.
 LITERATURE_Z = 2.5
 NOT_CONVERGED = "The search stopped before it converged. Do not use any of the values."
+NOT_MINIMISED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
 AT_BOUND = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
 
 
@@ -56,12 +57,12 @@ def fit_warnings(
     """
     problem = fit.problem
     sections = (
-        _convergence_warning(fit),
+        [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED],
         contradictory_velocities(fit) if problem.parametrisation.law.has_contact else [],
         literature_warnings(fit),
         _mixture_warning(fit),
         outlier_warnings(problem, errors),
-        _criterion_warning(worse),
+        [NOT_MINIMISED.format(", ".join(worse))] if worse else [],
         _bound_warning(fit, states),
         _correlation_warnings(correlated),
         _unmatched_warnings(problem),
@@ -73,16 +74,6 @@ def fit_warnings(
         fit.alternative.messages if fit.alternative else (),
     )
     return tuple(line for section in sections for line in section)
-
-
-def _convergence_warning(fit: InferenceResult) -> list[str]:
-    return [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
-
-
-def _criterion_warning(worse: Sequence[str]) -> list[str]:
-    if not worse:
-        return []
-    return [f"The paper's criterion did not decrease in: {', '.join(worse)}. This fit does not minimise it."]
 
 
 def _bound_warning(fit: InferenceResult, states: Statuses) -> list[str]:
