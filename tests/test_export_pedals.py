@@ -11,6 +11,7 @@ import pytest
 from instrument_cases import true_instrument
 from sfz_player import RATE, play
 
+from pianofit.dsp.filters import fractional_lag
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.export.samples import render_stroke
 from pianofit.instrument.release_noise import ReleaseNoise
@@ -18,7 +19,6 @@ from pianofit.playback.midi import Song
 from pianofit.playback.pedals import PedalRange
 from pianofit.playback.song import PlayOptions, render_song
 from pianofit.playback.voice import StringVoice
-from pianofit.result.comparison import fractional_lag
 from pianofit.schema.dampers import Dampers
 
 KEYS = [52, 58]

@@ -35,7 +35,7 @@ from pianofit.inference import Posterior, build_problem
 from pianofit.inference.observation_tables import RecordingStructure
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording.recording import load_recording
-from pianofit.result.statuses import exceeds_pianist, path_compared, velocity_range
+from pianofit.result.statuses import PIANIST_VELOCITY_RATIO, path_compared, velocity_range
 from pianofit.result.warnings import outlier_warnings
 from pianofit.schema.decode import builtins_of, convert, encode_json
 from pianofit.schema.fit import Fit
@@ -185,7 +185,7 @@ def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, beyond):
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
     posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
     fit = SimpleNamespace(problem=problem, estimate=SimpleNamespace(theta=z), posterior=posterior)
-    assert exceeds_pianist(fit) == beyond
+    assert (velocity_range(fit)[0] > PIANIST_VELOCITY_RATIO) == beyond
     assert velocity_range(fit) == pytest.approx(ratio * np.exp(1.96 * spread * np.array([-1, 0, 1])), rel=1e-3)
 
 

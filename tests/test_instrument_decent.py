@@ -17,13 +17,13 @@ import soundfile
 from instrument_cases import true_instrument
 
 from pianofit.conversions import hertz_of
+from pianofit.dsp.filters import fractional_lag
 from pianofit.errors import ParameterError
 from pianofit.export import SAMPLERS, ExportOptions, export_sampler
 from pianofit.export.layers import key_ranges, layer_velocities
 from pianofit.instrument.release_noise import ReleaseNoise
 from pianofit.playback.midi import Song
 from pianofit.playback.song import render_song
-from pianofit.result.comparison import fractional_lag
 
 KEYS = [55, 60, 100]
 NOISE = np.random.default_rng(1).normal(size=(1, 500)) * np.exp(-np.arange(500) / 100)

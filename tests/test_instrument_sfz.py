@@ -15,6 +15,7 @@ from instrument_cases import ERRORS, library, true_instrument, true_note
 
 from pianofit.analysis.note_names import midi_to_note, parse_keys
 from pianofit.cli import main
+from pianofit.dsp.filters import fractional_lag
 from pianofit.errors import OutputError, ParameterError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.export.layers import crossfade_layers, fill_gaps, format_keys, key_ranges, layer_velocities
@@ -22,7 +23,6 @@ from pianofit.instrument import build_instrument, find_fits, load_instrument, lo
 from pianofit.instrument.dampers import LAST_DAMPER
 from pianofit.instrument.key_quantities import LOUDEST_VELOCITY
 from pianofit.model.modes import mode_frequencies
-from pianofit.result.comparison import fractional_lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]

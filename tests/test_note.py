@@ -8,12 +8,13 @@ import pytest
 from instrument_cases import true_note, uneven_note
 
 from pianofit import recording_from_samples
+from pianofit.dsp.filters import fractional_lag, locate_template
 from pianofit.errors import ParameterError
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note, arrival
 from pianofit.model.output_path import OutputPath, apply_filter, impulse_response
-from pianofit.result.comparison import estimate_contact_onset, fractional_lag, locate_template
+from pianofit.result.alignment import estimate_contact_onset
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds fewer than two
 

@@ -589,7 +589,7 @@ DECAYS = [
 
 
 def test_modal_response_is_drawn_described_and_playable(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.report.modal_response.decays_and_beats", lambda _: DECAYS)
+    monkeypatch.setattr("pianofit.report.page.decays_and_beats", lambda _: DECAYS)
     html = written(tmp_path, example_fit(modal_response=response_content()), modes=True)
     page = Page(html)
     assert len(page.drawings) == PANELS + 9  # six envelopes; recorded, played and their difference

@@ -16,9 +16,10 @@ from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording.recording import Recording
 from ..result import Result
-from ..result.build_result import derived_of, pickup_of, record_of, with_derived
 from ..result.comparison import RecordingComparison, worse_bands
+from ..result.derived_table import with_derived
 from ..result.estimates import fixed_quantity, sizes
+from ..result.records import derived_of, pickup_of, record_of
 from ..result.warnings import AT_BOUND, NOT_CONVERGED
 from ..schema.diagnostics import Diagnostics
 from ..schema.fit import Criterion, Fit, package_versions

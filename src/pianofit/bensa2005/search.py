@@ -30,7 +30,7 @@ from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording.recording import Recording
-from ..result.comparison import align_attack
+from ..result.alignment import align_attack
 from .annealing import anneal
 from .descent import DescentResult, LeastSquares, gradient_descent
 from .spectral_criterion import Goal, SearchConstants, StaticConfig, criterion_gradients, fix_string, spectral_goal

@@ -202,7 +202,7 @@ def predict(
 ) -> None:
     """Predict a recording that took no part in the fit. Only velocity or plucking position, gain and pitch are free."""
     from ..result import Result
-    from ..result.comparison import estimate_contact_onset
+    from ..result.alignment import estimate_contact_onset
 
     if out is not None:
         check_sound_target(out, force)

@@ -1,4 +1,4 @@
-"""Filters of sampled sounds: resampling, convolution, delay, removal of drift, moving average.
+"""Filters of sampled sounds: resampling, convolution, delay and its measurement, removal of drift, moving average.
 
 They use NumPy alone. `scipy.signal` has them too, but its import takes longer than the analysis of a recording.
 """
@@ -82,6 +82,30 @@ def delayed(x: np.ndarray, samples: float) -> np.ndarray:
     size = x.shape[-1] + 2048
     turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * samples)
     return np.fft.irfft(np.fft.rfft(x, size) * turn, size)[..., : x.shape[-1]]
+
+
+def fractional_lag(model: np.ndarray, sound: np.ndarray) -> float:
+    """Delay of `sound` relative to `model`, in samples, accurate to a hundredth; both [samples]."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(model))))
+    oversampling = 16
+    cross = np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj()
+    correlation = np.fft.irfft(cross, oversampling * size)
+    peak = int(np.argmax(correlation))
+    before, top, after = correlation[peak - 1], correlation[peak], correlation[(peak + 1) % len(correlation)]
+    lag = peak + 0.5 * (before - after) / (before - 2 * top + after)
+    return float((lag if lag < len(correlation) / 2 else lag - len(correlation)) / oversampling)
+
+
+def locate_template(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
+    """Position of `model` in the longer `sound` with the least residual energy, and its sign; both [samples], one unit.
+
+    Unlike the peak of a correlation, the residual counts the silence before an attack. A position one period late
+    leaves the first period unexplained. The sign is -1 for a pickup of opposite polarity.
+    """
+    energy = np.concatenate([[0.0], np.cumsum(sound**2)])
+    cross = convolve(sound, model[::-1])[len(model) - 1 : len(sound)]
+    start = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
+    return start, float(np.sign(cross[start]))
 
 
 def forward_mean(values: np.ndarray, width: int) -> np.ndarray:

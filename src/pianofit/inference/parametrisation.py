@@ -199,6 +199,11 @@ class Parametrisation:
             direction[self.force_and_exponent_index[0]] = 1.0
         return direction
 
+    @property
+    def felt_force_name(self) -> str:
+        """The name of the force that replaces K_H in the search, with its compression."""
+        return f"static felt force at {1e3 * self.reference_compression:.3g} mm"
+
     def value(self, name: str, log: float) -> float:
         """A value from its logarithm, limited to its range: the exponential of a bound's logarithm can exceed it."""
         value, ranges = float(np.exp(log)), ALL_PARAMETERS | self.law.hammer_parameters

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import midi_of
-from ..felt import law_of
 from ..io.number_format import number
-from ..model.modal_response import PartialDecay, decays_and_beats
+from ..model.modal_response import PartialDecay
 from ..result import Result
 from .sound import Clip
 from .text import glide
@@ -20,15 +19,14 @@ PARTIALS = 3
 EQUAL_DB = 0.5
 
 
-def in_short(result: Result, clips: Sequence[Clip]) -> list[tuple[str, str]]:
+def in_short(result: Result, clips: Sequence[Clip], decays: Sequence[PartialDecay] = ()) -> list[tuple[str, str]]:
     """List (what, sentence) of a fit.
 
     Parameters
     ----------
     clips : the recorded sound and the fitted one, as the player has them.
+    decays : decays of the partials of the modal response, if the key has one.
     """
-    response = result.note.modal_response
-    decays = [] if response is None else decays_and_beats(response)
     return [
         ("Match", _match(result)),
         ("Tuning", _tuning(result)),
@@ -63,7 +61,7 @@ def _loudness(result: Result, clips: Sequence[Clip]) -> str:
     louder = f"{number(abs(difference), 2)} dB {'louder' if difference > 0 else 'softer'} than"
     own = f"The fitted note is {'as loud as' if abs(difference) < EQUAL_DB else louder} its recording."
     values = [row.stroke_value for row in result.fit.recordings]
-    if not law_of(result.note.hammer).has_contact or len(values) < 2:
+    if not result.draw_set.law.has_contact or len(values) < 2:
         return own
     if result.fit.velocity_scale_open:
         return f"{own} The loudest hammer is {number(max(values) / min(values), 2)} times as fast as the softest."

@@ -5,6 +5,7 @@ All are of the reference recording, and of the mean of its channels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..analysis import law_frequency
 from ..dsp.loudness import audible_floor, mel_edges, mel_power
 from ..io.number_format import counted, number
 from ..modal_response import partial_band
-from ..model.modal_response import decays_and_beats
+from ..model.modal_response import PartialDecay
 from ..result import Result
 from ..schema.modal_response import FittedModalResponse, RenderModel
 from .drawing import FITTED, HEIGHT, INITIAL, LINES, make_figure, panel, span
@@ -81,9 +82,8 @@ def _render_model(fitted: FittedModalResponse) -> str:
     return modes + (" and a knock" if fitted.render_model == "modes and knock" else "")
 
 
-def decay_rows(result: Result) -> list[list[str]]:
+def decay_rows(decays: Sequence[PartialDecay]) -> list[list[str]]:
     """Return the cells of the table of decays and beats, a row for every partial that has modes."""
-    response = result.note.modal_response
     return [
         [
             str(decay.number),
@@ -92,7 +92,7 @@ def decay_rows(result: Result) -> list[list[str]]:
             *(number(x, 2) for x in (decay.early, decay.late, decay.beat_frequency, decay.beat_depth)),
             " to ".join(dict.fromkeys(number(x, 2) for x in decay.error)),
         ]
-        for decay in ([] if response is None else decays_and_beats(response))
+        for decay in decays
     ]
 
 

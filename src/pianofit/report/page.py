@@ -14,9 +14,9 @@ import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..excitation import STROKES as STROKE_PARAMETERS
-from ..felt import law_of
 from ..io.files import json_text, printable, replace_paths
 from ..io.number_format import number
+from ..model.modal_response import decays_and_beats
 from ..result import Result
 from ..schema.decode import builtins_of
 from ..schema.fit import Fit
@@ -64,7 +64,8 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         If the fit was loaded from a file and a recording is missing or was changed.
     """
     result, held_out = _without_folders(result.with_recordings(), held_out)
-    fit, law = result.fit, result.draw_set.law
+    fit, law, response = result.fit, result.draw_set.law, result.note.modal_response
+    decays = [] if response is None else decays_and_beats(response)
     figures, clips = draw_figures(result, held_out), _clips(result)
     return page_bytes(
         "page.html.j2",
@@ -81,9 +82,9 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         stroke=law.stroke,
         has_contact=law.has_contact,
         clips=clips,
-        short=in_short(result, clips),
+        short=in_short(result, clips, decays),
         modal_response=fit.modal_response and modal_response_text(fit.modal_response),
-        decays=decay_rows(result),
+        decays=decay_rows(decays),
         strokes=_slider(result),
         players=_players(result),
         held_out=held_out,
@@ -114,7 +115,7 @@ def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dic
             "envelopes": draw_envelopes(result) if fit.modal_response else [],
             "spectrograms": draw_spectrograms(result) if fit.modal_response else [],
         }
-        own = law_of(result.note.hammer).figures
+        own = result.draw_set.law.figures
         figures |= {name: draw(result) if name in own else [] for name, draw in EXCITATION_FIGURES.items()}
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
@@ -161,7 +162,7 @@ def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
     is_recorded_range = high / low > SMALLEST_RANGE
     if not is_recorded_range:
         middle = np.sqrt(low * high)
-        lower, upper = law_of(result.note.hammer).stroke.bounds(result.note.geometry)
+        lower, upper = result.draw_set.law.stroke.bounds(result.note.geometry)
         low, high = max(middle / DEFAULT_RANGE, lower), min(middle * DEFAULT_RANGE, upper)
     note, rate, sounds = result.note, result.recording.rate, {}
     for velocity in np.geomspace(low, high, STROKES).tolist():
@@ -176,7 +177,7 @@ def _slider(result: Result) -> dict[str, Any] | None:
     strokes, is_recorded_range = strokes_of(result)
     if len(strokes) < 2:
         return None
-    unit = law_of(result.note.hammer).stroke.unit
+    unit = result.draw_set.law.stroke.unit
     sounds = {f"{number(velocity, 3)} {unit}": samples for velocity, samples in strokes.items()}
     clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
     first = int(np.abs(np.log(np.array([*strokes]) / result.note.stroke_value)).argmin())

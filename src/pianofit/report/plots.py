@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
-from ..felt import law_of
 from ..result import Result
 from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
@@ -52,7 +51,7 @@ class Plots:
 
     def _check_figure(self, name: str) -> None:
         """Raise a `FitError` if the excitation of the fit does not have a figure."""
-        law = law_of(self.result.note.hammer)
+        law = self.result.draw_set.law
         if name not in law.figures:
             raise FitError(f"plot.{name}: the string is {law.words.verb}, so the fit has no such figure")
 

@@ -1,4 +1,4 @@
-"""Comparison of a fit with its recordings: the paper's criterion, levels of the partials, and alignment in time."""
+"""Comparison of a fit with its recordings: the paper's criterion, and the levels of the partials."""
 
 from __future__ import annotations
 
@@ -20,26 +20,18 @@ from ..criterion import (
     level_error_db,
     measure,
 )
-from ..dsp.filters import convolve
 from ..inference import STRING_SIZE, InferenceResult, select_partials
 from ..model.note import Note
-from ..model.simulate import Simulation
 from ..parameters import STRING_NAMES
-from ..recording.onset import find_onset
 from ..recording.recording import Recording
 from ..schema.fit import BandValue, Criterion, LevelErrors
+from .alignment import estimate_contact_onset
 from .fitted_recording import FittedRecording, RenderedFit
 
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
 # and within this range of the strongest partial, dB, since other sounds lie below it.
 LEVEL_RANGE = 60.0
-# s of the attack that is simulated to estimate the contact, and s of noise before it.
-ATTACK_SECONDS, LEAD_SECONDS = 0.15, 0.05
-# s of noise that a recording must have before its onset to be used; otherwise white noise is.
-NOISE_SECONDS = 0.02
-# s of the attack that is aligned with a calibrated recording.
-ALIGNED_SECONDS = 0.05
 
 
 def worse_bands(criterion: Criterion) -> list[str]:
@@ -76,10 +68,6 @@ class RecordingComparison:
     def gain(self) -> float | None:
         """Full scale over the pickup unit; None if unknown."""
         return None if self.scale is None else 1.0 / self.scale
-
-    def contact_onset(self, note: Note) -> int | None:
-        """Sample index of the first contact in a calibrated recording; None if the onset determines it."""
-        return None if self.gain is None else round(align_attack(note._replace(gain=self.gain), self.recording))
 
     def levels_at_partials(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
         """Levels of partials `number`, dB, at the recording's [partials]; measured levels where there are none."""
@@ -167,8 +155,12 @@ def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
     return LevelErrors(initial, fitted, rms(reference) if len(reference) == len(levels) else None, int(count.sum()))
 
 
-def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
+def compare_recordings(
+    fit: InferenceResult, notes: Sequence[Note], contacts: Sequence[int | None]
+) -> tuple[FittedRecording, ...]:
     """Compare every recording with the initial values and with its note at the best minimum.
+
+    `contacts` are the sample indices of the first contacts; the onset determines them where they are None.
 
     Raises
     ------
@@ -183,10 +175,9 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     has_reference = problem.parametrisation.law.has_contact and not problem.calibrated
     reference_hammer = fit.reference_hammer_level if has_reference else None
     compared = []
-    for i, note in enumerate(notes):
+    for i, (begins, note) in enumerate(zip(contacts, notes, strict=True)):
         recording = problem.recordings[i]
         comparison = RecordingComparison.of(recording, problem.analyses[i], problem.initial_values.scale)
-        begins = comparison.contact_onset(note)
         # The uncertainty of the onset affects the lowest partial least.
         gain = 10 ** (integrated.columns[i][0] / 20) if comparison.gain is None else comparison.gain
         after = comparison.render(note, float(gain), begins, comparison.levels_at_partials(fitted[i], columns))
@@ -207,59 +198,3 @@ def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
     hammer = u.hammer(z, problem.structure.stroke[i])
     geometry = u.geometry_at(z, problem.structure.stroke[i])
     return Note(u.string(z), hammer, geometry, problem.initial_values.quantity, 1.0, None)
-
-
-# --- alignment of a simulated attack with a recorded one --------------------------------------------------------------
-
-
-def estimate_contact_onset(note: Note, strike: Simulation, recording: Recording) -> int:
-    """Sample index of the first contact, chosen so that the simulated stroke has the onset of the recording.
-
-    High partials of a stiff string arrive before the main wave. The noise decides how many of them the onset detector
-    finds. So the stroke is simulated in the noise before the onset, or in white noise of a fixed seed.
-    """
-    rate, onset = recording.rate, recording.onset
-    attack, before = recording.samples[onset:][: round(ATTACK_SECONDS * rate)], round(LEAD_SECONDS * rate)
-    sound = note.render_mono(strike, rate, len(attack))
-    sound = np.pad(sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300), (before, 0))
-    noise = recording.samples[: max(onset - round(0.001 * rate), 0)]
-    if len(noise) < NOISE_SECONDS * rate or noise.std() < 0.5 * recording.noise_rms:
-        noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, len(sound))
-    detected = find_onset(np.resize(np.append(noise, noise[::-1]), len(sound)) + sound, rate, 0.0)
-    return onset - max(detected - before, 0)
-
-
-def align_attack(note: Note, recording: Recording) -> float:
-    """Sample index of the first contact in a calibrated recording, by alignment of the simulated attack."""
-    count = round(ALIGNED_SECONDS * recording.rate)
-    model, _ = note.render_stroke(recording.rate, count)
-    begin = max(recording.onset - count, 0)
-    sound = recording.samples[begin : recording.onset + 2 * count]
-    if len(sound) <= count:
-        return recording.onset
-    start, sign = locate_template(model, sound)
-    return begin + start + fractional_lag(model, sign * sound[start : start + count])
-
-
-def fractional_lag(model: np.ndarray, sound: np.ndarray) -> float:
-    """Delay of `sound` relative to `model`, in samples, accurate to a hundredth; both [samples]."""
-    size = 2 ** int(np.ceil(np.log2(2 * len(model))))
-    oversampling = 16
-    cross = np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj()
-    correlation = np.fft.irfft(cross, oversampling * size)
-    peak = int(np.argmax(correlation))
-    before, top, after = correlation[peak - 1], correlation[peak], correlation[(peak + 1) % len(correlation)]
-    lag = peak + 0.5 * (before - after) / (before - 2 * top + after)
-    return float((lag if lag < len(correlation) / 2 else lag - len(correlation)) / oversampling)
-
-
-def locate_template(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
-    """Position of `model` in the longer `sound` with the least residual energy, and its sign; both [samples], one unit.
-
-    Unlike the peak of a correlation, the residual counts the silence before an attack. A position one period late
-    leaves the first period unexplained. The sign is -1 for a pickup of opposite polarity.
-    """
-    energy = np.concatenate([[0.0], np.cumsum(sound**2)])
-    cross = convolve(sound, model[::-1])[len(model) - 1 : len(sound)]
-    start = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
-    return start, float(np.sign(cross[start]))

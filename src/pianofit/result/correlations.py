@@ -1,4 +1,4 @@
-"""Covariances of the parameters of a fit, and the pairs that the recordings do not distinguish."""
+"""Pairs of parameters that the recordings do not distinguish."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 
 from ..conversions import HALF_WIDTH_95
 from ..inference import InferenceResult
-from ..inference.parametrisation import Parametrisation
 from ..io.number_format import format_relative_uncertainty, with_half_interval
-from ..schema.quantities import Covariance, unit_of
+from ..schema.quantities import Covariance
 
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99
@@ -25,15 +24,8 @@ class StrongCorrelation(NamedTuple):
     best_combination: str  # that the recordings determine, with its uncertainty
 
 
-def covariance_of(fit: InferenceResult, minimum: int = 0) -> Covariance:
-    """Covariance of the logarithms of the parameters and velocities at a minimum, by name."""
-    names = fit.problem.parameter_indices
-    return Covariance(tuple(names), fit.posterior.covariance[minimum][np.ix_([*names.values()], [*names.values()])])
-
-
-def strong_correlations(fit: InferenceResult) -> tuple[StrongCorrelation, ...]:
-    """The pairs of parameters whose correlation exceeds `STRONG_CORRELATION`."""
-    correlation = covariance_of(fit).of_shared(fit.problem.velocity_scale_free).normalised
+def strong_correlations(fit: InferenceResult, correlation: Covariance) -> tuple[StrongCorrelation, ...]:
+    """The pairs of parameters whose correlation exceeds `STRONG_CORRELATION`, from the correlations of all."""
     names, r = correlation.names, correlation.matrix
     return tuple(
         StrongCorrelation(names[j], names[i], float(r[i, j]), _best_combination(fit, names[j], names[i]))
@@ -54,20 +46,8 @@ def _best_combination(fit: InferenceResult, a: str, b: str) -> str:
     if (a, b) == u.law.power:
         force = float(np.exp(fit.estimate.theta[i]))
         half = HALF_WIDTH_95 * posterior.sd(u.force_direction(fit.estimate.theta))
-        return f"the {felt_force_name(u)}, {with_half_interval(force, half, 'N')}"
+        return f"the {u.felt_force_name}, {with_half_interval(force, half, 'N')}"
     cov = posterior.covariance[0]
     slope = cov[i, j] / cov[j, j]
     half = HALF_WIDTH_95 * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
     return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
-
-
-def felt_force_name(u: Parametrisation) -> str:
-    """The name of the force that a fit searches, with its compression."""
-    return f"static felt force at {1e3 * u.reference_compression:.3g} mm"
-
-
-def name_and_unit(u: Parametrisation, i: int) -> tuple[str, str]:
-    """The name and the unit of what a fit searches as its parameter `i`: the felt force in place of K_H."""
-    if u.force_and_exponent_index and i == u.force_and_exponent_index[0]:
-        return f"the {felt_force_name(u)}", "N"
-    return u.names[i], unit_of(u.names[i], u.law)

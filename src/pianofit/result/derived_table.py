@@ -8,9 +8,17 @@ from dataclasses import replace
 from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
 from .derived import DrawSet, ModelDraw
+from .result import Result
 
 # Those that hold at the reference compression.
 AT_REFERENCE = ("felt_force", "local_exponent")
+
+
+def with_derived(result: Result) -> Result:
+    """Return a result with its derived quantities, and with the same draws for the interval of the felt force."""
+    fit, draws = result.fit, result.draw_set
+    derived = replace(fit.derived, quantities=derived_quantities(draws))
+    return replace(result, fit=replace(fit, derived=derived, invariants=with_force_interval(draws)))
 
 
 def derived_quantities(draws: DrawSet) -> Quantities:

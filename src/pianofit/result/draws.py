@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import FitError
-from ..inference import ObservedValues
+from ..felt.law import scale_velocity
+from ..inference import InferenceResult, ObservedValues
 from ..io.files import printable, read_file
 from ..io.table_output import require_optional
-from ..schema.fit import DrawsFile
+from ..schema.fit import DrawsFile, Fit
 
 DRAWS_FILE = "draws.npz"
 # Upper limits of the file in bytes and in arrays: 2000 draws of 16,000 observations, and more names than a fit has.
@@ -97,6 +98,36 @@ class Draws(Mapping[str, np.ndarray]):
             groups.setdefault("log_likelihood", {})[kind] = self.log_likelihood[kind]
             groups.setdefault("constant_data", {}).update(columns)
         return arviz.from_dict(groups, coords=coords, dims=dims)
+
+
+def draws_of(fit: InferenceResult, record: Fit) -> Draws | None:
+    """The posterior draws, with those of the invariants that vary; None for a fit without a sampler."""
+    view, u = fit.alternative, fit.problem.parametrisation
+    if view is None or view.draws is None:
+        return None
+    draws = view.draws
+
+    def drawn(name: str) -> np.ndarray:
+        return np.asarray(draws[name] if name in draws else record.parameters[name].value)
+
+    length, mass = drawn("L"), drawn("M_S")
+    table = {"f0": drawn("c") / (2 * length), "B": (drawn("kappa") * np.pi / (drawn("c") * length)) ** 2}
+    if u.law.has_contact:
+        table |= {"M_H/M_S": drawn("M_H") / mass}
+        strokes = {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
+        table |= {name: draws[own] / drawn("v_H0") for name, own in strokes.items() if own in draws}
+    places = [name for name in (*record.parameters, *draws) if name.partition(" ")[0] in ("x0", "width", "pickup")]
+    for name in places:
+        of, _, number = name.partition(" ")
+        table[f"{of}/L {number}".rstrip()] = drawn(name) / length
+    if "F/M_S" in record.invariants:
+        # At the reference velocity shown, if a common scale of the velocities is unknown.
+        scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
+        felt = scale_velocity({name: drawn(name) for name in u.law.parameters}, u.law, scale)
+        stiffness, p = (felt[u.names[i]] for i in u.force_and_exponent_index or ())
+        table["F/M_S"] = stiffness * u.law.power_base(u.reference_compression, felt) ** p / mass
+    varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
+    return Draws({**draws, **varying}, tuple(varying), view.log_likelihood, view.observed)
 
 
 def encode_draws(draws: Draws) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +13,7 @@ from ..parameters import FIT_NAMES
 from ..schema.dependencies import FELT, derived_status
 from ..schema.quantities import UNITS, Quantities, Quantity, Status, meaning_of, unit_of
 from ..transducer import TRANSDUCERS
-from .correlations import felt_force_name
-from .statuses import force_direction, scaled_parameters, unidentifiable_parameters, velocity_statuses
+from .statuses import Statuses, force_direction
 
 # Parameters in the paper's order, then those of the contact. Parameters of other felt laws follow.
 PARAMETER_ORDER = (*FIT_NAMES, "x0", "width")
@@ -30,12 +29,12 @@ def _with_interval(quantity: Quantity, interval: Interval | None) -> Quantity:
     return replace(quantity, interval=ends, interval_method=interval.method, interval_unbounded=unbounded)
 
 
-def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
+def stroke_velocities(fit: InferenceResult, states: Statuses) -> list[Quantity]:
     """The velocity of every stroke."""
     problem, u = fit.problem, fit.problem.parametrisation
     table, stroke = [], u.law.stroke
     for at, measured, status in zip(
-        range(u.size)[u.velocities], problem.measured_velocity, velocity_statuses(fit), strict=True
+        range(u.size)[u.velocities], problem.measured_velocity, states.velocities, strict=True
     ):
         value = float(np.exp(fit.estimate.theta[at])) if measured is None or u.free[at] else float(measured)
         scale = "its scale comes from the prior" if problem.velocity_scale_free else "scales with the assumed L"
@@ -48,7 +47,7 @@ def stroke_velocities(fit: InferenceResult) -> list[Quantity]:
     return table
 
 
-def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Quantity) -> Quantities:
+def parameters(fit: InferenceResult, states: Statuses, velocity: Quantity) -> Quantities:
     """Every parameter; `velocity` is that of the reference stroke."""
     u, start = fit.problem.parametrisation, fit.problem.initial_values
     log, table = fit.posterior.mean[0], {velocity.name: velocity}
@@ -60,15 +59,16 @@ def parameters(fit: InferenceResult, states: Mapping[str, Status], velocity: Qua
             table[name] = Quantity(name, 0.0, unit, None, "given", meaning, note, 0.0)
             continue
         scales = [f"the assumed {size}" for size in start.assumptions.get(name, ())]
-        scales += ["the velocities"] * (name in scaled_parameters(fit))
-        note = f"scales with {' and '.join(scales)}" if states[name] == "scaled" else ""
+        scales += ["the velocities"] * (name in states.scaled)
+        status = states.parameters[name]
+        note = f"scales with {' and '.join(scales)}" if status == "scaled" else ""
         if name == "width" and u.free[i]:
             note = "effective width: a raised cosine of this width acts like the unknown contact window"
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         # An assumed value has no interval, although its part that scales with an uncertain length varies.
         interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i)) if u.free[i] else None
-        quantity = Quantity(name, value, unit, None, states[name], meaning, note, float(start.initial[name]))
+        quantity = Quantity(name, value, unit, None, status, meaning, note, float(start.initial[name]))
         table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
     last = len(PARAMETER_ORDER)
     order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
@@ -86,7 +86,7 @@ def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
     return _with_interval(replace(quantity, value=value), interval)
 
 
-def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities:
+def invariants(fit: InferenceResult, states: Statuses) -> Quantities:
     """Quantities that do not depend on an assumed length or mass.
 
     They do not depend on the velocity scale either, except the felt force at a compression, whose status is `scaled`.
@@ -97,22 +97,22 @@ def invariants(fit: InferenceResult, states: Mapping[str, Status]) -> Quantities
     B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / _size_value(fit, "L")) ** 2
     table = [
         _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
-        _combined("B", fit.gauge_fixed, direction, B, "1", states),
+        _combined("B", fit.gauge_fixed, direction, B, "1", states.parameters),
     ]
     if not u.law.has_contact:
         return Quantities.of([*table, *_places(fit, states)])
     table += [_ratio(fit, states, "M_H/M_S", "M_H", "M_S"), _ratio(fit, states, "x0/L", "x0", "L")]
     if (direction := force_direction(fit)) is not None:
         table.append(_static_force(fit, states, direction))
-    return Quantities.of([*table, *_velocity_ratios(fit)])
+    return Quantities.of([*table, *_velocity_ratios(fit, states.velocities)])
 
 
-def _places(fit: InferenceResult, states: Mapping[str, Status]) -> list[Quantity]:
+def _places(fit: InferenceResult, states: Statuses) -> list[Quantity]:
     """The plucking position of every stroke, that of the pickup, and the width, over the string length."""
     problem, u = fit.problem, fit.problem.parametrisation
     length, over = _size_value(fit, "L"), _unit(u, "L")
     table = []
-    for stroke, state in enumerate(velocity_statuses(fit)):
+    for stroke, state in enumerate(states.velocities):
         at = u.shared + stroke
         file = Path(problem.recordings[problem.structure.stroke.index(stroke)].path).name
         name = "x0/L" if at == problem.reference_velocity_index else f"x0/L {stroke + 1}"
@@ -153,13 +153,7 @@ def _combined(
 
 
 def _ratio(
-    fit: InferenceResult,
-    states: Mapping[str, Status],
-    name: str,
-    of: str,
-    size: str,
-    factor: float = 1.0,
-    unit: str = "1",
+    fit: InferenceResult, states: Statuses, name: str, of: str, size: str, factor: float = 1.0, unit: str = "1"
 ) -> Quantity:
     """The parameter `of` over `factor` times a size.
 
@@ -169,25 +163,25 @@ def _ratio(
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)
     value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
-    quantity = _combined(name, fit.gauge_fixed, _unit(u, of) - _unit(u, size), value, unit, states)
+    quantity = _combined(name, fit.gauge_fixed, _unit(u, of) - _unit(u, size), value, unit, states.parameters)
     if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
 
 
-def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction: np.ndarray) -> Quantity:
+def _static_force(fit: InferenceResult, states: Statuses, direction: np.ndarray) -> Quantity:
     """The static felt force at the reference compression over the string mass."""
     problem, u, z = fit.problem, fit.problem.parametrisation, fit.estimate.theta
     stiffness, p = u.force_and_exponent_index or (0, 0)
     force = float(np.exp(z[stiffness]))
     size = "assumed" if "mass" in problem.initial_values.assumed else "given"
-    note = f"{felt_force_name(u)}, {force:.3g} N with the {size} string mass"
+    note = f"{u.felt_force_name}, {force:.3g} N with the {size} string mass"
     note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
     # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
     felt: dict[str, Status] = {}
-    if u.names[stiffness] in unidentifiable_parameters(fit):
+    if u.names[stiffness] in states.unidentifiable:
         felt[FELT] = "not-identifiable"
-    elif "at-bound" in (states[u.names[stiffness]], states[u.names[p]]):
+    elif "at-bound" in (states.parameters[u.names[stiffness]], states.parameters[u.names[p]]):
         felt[FELT] = "at-bound"
     value = force / problem.initial_values.geometry.mass  # θ belongs to the given mass
     quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", felt, note)
@@ -195,9 +189,9 @@ def _static_force(fit: InferenceResult, states: Mapping[str, Status], direction:
     return replace(quantity, status="scaled") if is_scaled else quantity
 
 
-def _velocity_ratios(fit: InferenceResult) -> list[Quantity]:
+def _velocity_ratios(fit: InferenceResult, states: Sequence[Status]) -> list[Quantity]:
     """The velocities of the strokes over that of the reference stroke."""
-    problem, z, states = fit.problem, fit.estimate.theta, velocity_statuses(fit)
+    problem, z = fit.problem, fit.estimate.theta
     unit, shared = np.eye(problem.parametrisation.size), problem.parametrisation.shared
     reference, table = problem.reference_velocity_index, []
     for stroke, state in enumerate(states):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ..inference import InferenceResult
 from ..schema.fit import LevelErrors
-from ..schema.quantities import Status
 from ..transducer import TRANSDUCERS
+from .statuses import Statuses
 
 
-def released_statement(fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors) -> str:
+def released_statement(fit: InferenceResult, states: Statuses, levels: LevelErrors) -> str:
     """The opening sentences of a fit without a hammer: what the recordings determine, and what they cannot."""
     problem, count = fit.problem, len(fit.problem.recordings)
     recorded = "One recording" if count == 1 else f"{count} recordings"
@@ -20,7 +18,7 @@ def released_statement(fit: InferenceResult, states: Mapping[str, Status], level
         f"{recorded} of unknown gain {verb} the string and the place of the {player}, not its size. The gain of a "
         "recording contains the size."
     ]
-    if "width" in states and states["width"] == "not-identifiable":
+    if states.parameters.get("width") == "not-identifiable":
         parts.append(
             "The width is not identifiable, because a smooth output path changes the levels as the width does. Do not "
             "interpret it."

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from ..inference import InferenceResult
 from ..schema.fit import LevelErrors
-from ..schema.quantities import Status
 from .correlations import StrongCorrelation
 from .released_statement import released_statement
-from .statuses import (
-    FELT_EXCESS_DB,
-    HAMMER_EXCESS_DB,
-    PIANIST_VELOCITY_RATIO,
-    exceeds_pianist,
-    path_compared,
-    velocity_range,
-)
+from .statuses import FELT_EXCESS_DB, HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses
 
 KEYBOARD_PRIOR = " The prior of hammer and felt is the prediction from the other keys of the keyboard."
 
 
 def identifiability_statement(
-    fit: InferenceResult, states: Mapping[str, Status], levels: LevelErrors, correlated: Sequence[StrongCorrelation]
+    fit: InferenceResult, states: Statuses, levels: LevelErrors, correlated: Sequence[StrongCorrelation]
 ) -> str:
     """The opening sentences of a result."""
     keyboard = KEYBOARD_PRIOR if fit.problem.key_prior is not None else ""
@@ -31,22 +23,21 @@ def identifiability_statement(
     problem, law = fit.problem, fit.problem.parametrisation.law
     if not law.has_contact:
         return released_statement(fit, states, levels)
-    compared = path_compared(fit)
     start = problem.initial_values
     hammer = "initial" if start.user_given or start.law.hammers is None else "literature"
     text = (
-        f"{_uncalibrated(fit)} The rms error of the partial levels is {levels.initial_db:.1f} dB before the fit, "
-        f"{levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
+        f"{_uncalibrated(fit, states.compared)} The rms error of the partial levels is {levels.initial_db:.1f} dB "
+        f"before the fit, {levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
         f"and {'output path' if problem.has_unknown_path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
         f"{keyboard}"
     )
-    if not compared:
+    if not states.compared:
         u = problem.parametrisation
         felt = any(u.free[u.index_of(name)] for name in law.parameters)
         prior = "the prior of the output path" if problem.has_unknown_path else "the prior"
         return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
-    if exceeds_pianist(fit):
-        low, ratio, high = velocity_range(fit)
+    if states.exceeds_pianist:
+        low, ratio, high = states.velocity_range
         return (
             f"{text} The fitted velocities differ by a factor of {ratio:.3g} ({low:.3g} to {high:.3g}), those of a "
             f"pianist by at most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not "
@@ -62,7 +53,7 @@ def identifiability_statement(
     return text
 
 
-def _uncalibrated(fit: InferenceResult) -> str:
+def _uncalibrated(fit: InferenceResult, compared: bool) -> str:
     """Sentences on uncalibrated recordings, by their number and velocities."""
     count = len(fit.problem.recordings)
     if count == 1 and fit.problem.has_unknown_path:
@@ -76,7 +67,7 @@ def _uncalibrated(fit: InferenceResult) -> str:
             "One recording of unknown scale does not determine the hammer felt. A softer felt struck faster gives the "
             "same sound at another gain."
         )
-    if path_compared(fit):
+    if compared:
         return (
             f"{count} uncalibrated recordings of one key were compared. Differences between strokes are attributed to "
             "the hammer. Everything common to all strokes is attributed to the output path (soundboard, room, "
@@ -89,7 +80,7 @@ def _uncalibrated(fit: InferenceResult) -> str:
     )
 
 
-def _calibrated(fit: InferenceResult, states: Mapping[str, Status], correlated: Sequence[StrongCorrelation]) -> str:
+def _calibrated(fit: InferenceResult, states: Statuses, correlated: Sequence[StrongCorrelation]) -> str:
     """The statement of calibrated recordings."""
     several = len(fit.problem.recordings) > 1
     opening = "The recordings are calibrated" if several else "The recording is calibrated"
@@ -101,7 +92,9 @@ def _calibrated(fit: InferenceResult, states: Mapping[str, Status], correlated: 
                 "the hammer parameters."
             )
         return f"{opening}, but the model misses the partial levels by {fit.excess:.2f} dB beyond the noise. {advice}"
-    unidentifiable = [name for name, state in states.items() if state == "not-identifiable" and name != "width"]
+    unidentifiable = [
+        name for name, state in states.parameters.items() if state == "not-identifiable" and name != "width"
+    ]
     if unidentifiable:
         return f"{opening}, but {'do' if several else 'does'} not determine {_listed(*unidentifiable)}."
     pairs = (

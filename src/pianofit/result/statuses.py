@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc
@@ -26,10 +27,33 @@ SIGNIFICANCE = 0.05
 EXACT = 1e-9
 
 
-def statuses(fit: InferenceResult) -> dict[str, Status]:
-    """The status of every parameter by name."""
+@dataclass(frozen=True)
+class Statuses:
+    """The status of every parameter and velocity, and the tests that decide about them."""
+
+    parameters: dict[str, Status]  # by name
+    velocities: list[Status]  # of every stroke
+    scaled: tuple[str, ...]  # felt parameters that change with the common scale of the velocities, if it is unknown
+    unidentifiable: tuple[str, ...]  # hammer parameters that are not identifiable, even if their interval is narrow
+    compared: bool  # by `path_compared`
+    velocity_range: tuple[float, float, float]
+    exceeds_pianist: bool  # whether the velocities certainly differ by more than those of a pianist
+
+
+def statuses(fit: InferenceResult) -> Statuses:
+    """The statuses of a fit."""
+    compared, span, law = path_compared(fit), velocity_range(fit), fit.problem.parametrisation.law
+    exceeds_pianist = span[0] > PIANIST_VELOCITY_RATIO
+    parts = undetermined(fit, compared, exceeds_pianist)
+    scaled = law.parameters_with_unit("N m") if fit.problem.velocity_scale_free and compared else ()
+    unidentifiable = tuple(law.parameters) * (FELT in parts) + ("M_H",) * bool(parts & {*foundations("M_H")})
+    parameters, velocities = _of_parameters(fit, scaled, unidentifiable), _of_velocities(fit, VELOCITIES in parts)
+    return Statuses(parameters, velocities, scaled, unidentifiable, compared, span, exceeds_pianist)
+
+
+def _of_parameters(fit: InferenceResult, scaled: Sequence[str], unidentifiable: Sequence[str]) -> dict[str, Status]:
     u, start, theta = fit.problem.parametrisation, fit.problem.initial_values, fit.estimate.theta
-    at_bound, unidentifiable, scaled = u.at_bound(theta), unidentifiable_parameters(fit), scaled_parameters(fit)
+    at_bound = u.at_bound(theta)
     # Standard deviations of log(value). For the parameters of the string only `MAX_LOG_SD` applies.
     prior = np.linalg.norm(u.tangent(theta) * u.sd, axis=1)
     widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
@@ -46,12 +70,6 @@ def statuses(fit: InferenceResult) -> dict[str, Status]:
         return "scaled" if name in scaled or start.assumptions.get(name) else "fitted"
 
     return {name: status(i, name) for i, name in enumerate(u.names)}
-
-
-def scaled_parameters(fit: InferenceResult) -> tuple[str, ...]:
-    """Felt parameters that change with the common scale of the velocities, if that scale is unknown."""
-    law = fit.problem.parametrisation.law
-    return law.parameters_with_unit("N m") if fit.problem.velocity_scale_free and path_compared(fit) else ()
 
 
 def path_compared(fit: InferenceResult) -> bool:
@@ -93,12 +111,7 @@ def velocity_range(fit: InferenceResult) -> tuple[float, float, float]:
     return low, ratio, high
 
 
-def exceeds_pianist(fit: InferenceResult) -> bool:
-    """True if the velocities of the strokes certainly differ by more than those of a pianist."""
-    return velocity_range(fit)[0] > PIANIST_VELOCITY_RATIO
-
-
-def undetermined(fit: InferenceResult) -> frozenset[str]:
+def undetermined(fit: InferenceResult, compared: bool, exceeds_pianist: bool) -> frozenset[str]:
     """Parts of the model on which the recordings have no evidence: of `FELT`, `CONTACT` and `VELOCITIES`.
 
     K_H, p and μ alone can be wide while their combination is not. The felt is undetermined if its force where the
@@ -110,8 +123,8 @@ def undetermined(fit: InferenceResult) -> frozenset[str]:
     if problem.calibrated:
         felt = frozenset({FELT} if fit.excess > FELT_EXCESS_DB else ())
         parts = everything if fit.excess > HAMMER_EXCESS_DB else felt
-    elif path_compared(fit):
-        parts = everything if exceeds_pianist(fit) else frozenset()
+    elif compared:
+        parts = everything if exceeds_pianist else frozenset()
     else:  # with an unknown gain alone, the force is known up to a factor
         parts = everything if problem.has_unknown_path else frozenset({FELT, VELOCITIES})
     force = force_direction(fit)
@@ -133,15 +146,8 @@ def force_direction(fit: InferenceResult) -> np.ndarray | None:
     return direction
 
 
-def unidentifiable_parameters(fit: InferenceResult) -> tuple[str, ...]:
-    """Hammer parameters reported as not identifiable, even if their interval is narrow."""
-    parts, felt = undetermined(fit), tuple(fit.problem.parametrisation.law.parameters)
-    return (*(felt if FELT in parts else ()), *(("M_H",) if parts & {*foundations("M_H")} else ()))
-
-
-def velocity_statuses(fit: InferenceResult) -> list[Status]:
-    """The status of every stroke's velocity."""
-    problem, u, undecided = fit.problem, fit.problem.parametrisation, VELOCITIES in undetermined(fit)
+def _of_velocities(fit: InferenceResult, undecided: bool) -> list[Status]:
+    problem, u = fit.problem, fit.problem.parametrisation
     at_bound = u.at_bound(fit.estimate.theta)
 
     def status(at: int, measured: float | None) -> Status:

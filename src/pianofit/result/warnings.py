@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,11 +11,12 @@ import numpy as np
 from ..analysis import Analysis, beating_warning, count_beating
 from ..conversions import BEATING_DB, HALF_WIDTH_95
 from ..inference import FitProblem, InferenceResult, priors
+from ..inference.parametrisation import Parametrisation
 from ..io.files import printable
 from ..recording.recording import Recording
-from ..schema.quantities import Status
-from .correlations import StrongCorrelation, name_and_unit
-from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, velocity_statuses
+from ..schema.quantities import unit_of
+from .correlations import StrongCorrelation
+from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
 OUTLIER_FACTOR = 2.0
@@ -35,12 +36,13 @@ STROKE_SCATTER_DB = 1.0
 # exponent this is 1.4 to 3.8 in the middle of the keyboard. One value in a hundred deviates more by chance.
 LITERATURE_Z = 2.5
 NOT_CONVERGED = "The search stopped before it converged. Do not use any of the values."
+NOT_MINIMISED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
 AT_BOUND = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
 
 
 def fit_warnings(
     fit: InferenceResult,
-    states: Mapping[str, Status],
+    states: Statuses,
     correlated: Sequence[StrongCorrelation],
     worse: Sequence[str],
     errors: Sequence[float],
@@ -55,12 +57,12 @@ def fit_warnings(
     """
     problem = fit.problem
     sections = (
-        _convergence_warning(fit),
+        [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED],
         contradictory_velocities(fit) if problem.parametrisation.law.has_contact else [],
         literature_warnings(fit),
         _mixture_warning(fit),
         outlier_warnings(problem, errors),
-        _criterion_warning(worse),
+        [NOT_MINIMISED.format(", ".join(worse))] if worse else [],
         _bound_warning(fit, states),
         _correlation_warnings(correlated),
         _unmatched_warnings(problem),
@@ -74,19 +76,9 @@ def fit_warnings(
     return tuple(line for section in sections for line in section)
 
 
-def _convergence_warning(fit: InferenceResult) -> list[str]:
-    return [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED]
-
-
-def _criterion_warning(worse: Sequence[str]) -> list[str]:
-    if not worse:
-        return []
-    return [f"The paper's criterion did not decrease in: {', '.join(worse)}. This fit does not minimise it."]
-
-
-def _bound_warning(fit: InferenceResult, states: Mapping[str, Status]) -> list[str]:
-    at_bound = [name for name, state in states.items() if state == "at-bound"]
-    if "at-bound" in velocity_statuses(fit):
+def _bound_warning(fit: InferenceResult, states: Statuses) -> list[str]:
+    at_bound = [name for name, state in states.parameters.items() if state == "at-bound"]
+    if "at-bound" in states.velocities:
         at_bound.append(fit.problem.parametrisation.law.stroke.name)
     return [AT_BOUND.format(", ".join(at_bound))] if at_bound else []
 
@@ -117,7 +109,7 @@ def literature_warnings(fit: InferenceResult) -> list[str]:
         deviations = float(theta[i] - u.mean[i]) / float(u.sd[i])
         if abs(deviations) < LITERATURE_Z:
             continue
-        label, unit = name_and_unit(u, i)
+        label, unit = _name_and_unit(u, i)
         source = "the literature" if u.joint is None else "the prediction from the other keys"
         low, value, high = np.exp([u.mean[i] - HALF_WIDTH_95 * u.sd[i], theta[i], u.mean[i] + HALF_WIDTH_95 * u.sd[i]])
         lines.append(
@@ -126,6 +118,13 @@ def literature_warnings(fit: InferenceResult) -> list[str]:
             "other layers."
         )
     return lines
+
+
+def _name_and_unit(u: Parametrisation, i: int) -> tuple[str, str]:
+    """The name and the unit of the searched parameter `i`: the felt force in place of K_H."""
+    if u.force_and_exponent_index and i == u.force_and_exponent_index[0]:
+        return f"the {u.felt_force_name}", "N"
+    return u.names[i], unit_of(u.names[i], u.law)
 
 
 def outlier_warnings(problem: FitProblem, errors: Sequence[float]) -> list[str]:
@@ -195,7 +194,7 @@ def _mixture_warning(fit: InferenceResult) -> list[str]:
     stroke = u.law.stroke
     # Velocities of a hammer follow from the other parameters.
     largest = int(np.argmax(difference[: u.shared if stroke.scale_is_open else u.velocities.stop]))
-    name, unit = name_and_unit(u, largest) if largest < u.shared else (stroke.name, stroke.unit)
+    name, unit = _name_and_unit(u, largest) if largest < u.shared else (stroke.name, stroke.unit)
     shown, second = np.exp(z[[0, other], largest])
     note = {
         "laplace": "Intervals and predictions average over all minima.",

@@ -42,8 +42,6 @@ MOST_POINTS = 4096
 MOST_STROKES = 256
 HINT = "give the file that pianofit fit wrote"
 
-# Levels of an output path, dB: amplitudes beyond them are lost in rounding.
-PathLevel = Annotated[float, Meta(ge=-300.0, le=300.0)]
 Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
 PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure", "magnetic-pickup"]
 ExcitationName = Literal["hammer", "pluck"]
