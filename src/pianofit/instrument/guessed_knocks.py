@@ -193,7 +193,7 @@ def guess_knock(knocks: KnockFields, midi: int, response: ModalResponse, static:
     wave = np.zeros_like(noise)
     for (transform, band), power in zip(_windows(knocks.rate), wanted, strict=True):
         shares = np.where((band >= 0)[:, None], power[:, band], 0.0)
-        wave += transform.istft(transform.stft(noise) * np.sqrt(shares), k1=knocks.samples).real
+        wave += np.real(transform.istft(transform.stft(noise) * np.sqrt(shares), k1=knocks.samples))
     before = (np.arange(knocks.samples) - lead) / (BEGINNING_S * knocks.rate)
     return wave * np.clip(1 + before, 0.0, 1.0)
 
