@@ -114,7 +114,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FREQUENCY`, ℓ": (priors, "FREQUENCY", median(2)),
         "`DECAY`, σ": (priors, "DECAY", median(0)),
         "`DECAY`, A": (priors, "DECAY", median(1)),
-        "`LAW_REACH`": (priors, "LAW_REACH", plain),
+        "`REFERENCE_PARTIAL`": (priors, "REFERENCE_PARTIAL", plain),
         "`HIGHEST_HZ`": (observation_tables, "HIGHEST_HZ", plain),
         "`SAMPLES`": (multistart, "SAMPLES", plain),
         "`VELOCITIES`": (hammer, "VELOCITIES", points),

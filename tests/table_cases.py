@@ -49,7 +49,8 @@ def table(shape: str, seed: int = 0) -> ObservationTable:
         has_unknown_path=np.full(groups, float(path)),
         log_tau=log_tau,
         log_weight=np.log(weight / weight.sum()),
-        variance_profile=1 + random.random(K),
+        excess_profile=1 + random.random(K),
+        smooth_profile=1 + random.random(K),
         ratio=5 * random.random((R, K)),
         prior=(np.log([0.7, 8, 0.7, 0.002, 1.0]), np.array([0.7, 0.4, 0.4, 0.9, 1.0])),
         velocity=np.eye(R, SHARED + R, SHARED),
@@ -67,7 +68,7 @@ def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def noise(t: ObservationTable, phi: np.ndarray) -> np.ndarray:
     """Variance of each entry's own error at a weight of 1 [R, K]."""
     return np.asarray(
-        t.variance + np.exp(2 * phi[0]) * t.variance_profile + (np.exp(phi[3]) * INTERFERENCE_DB * t.ratio) ** 2
+        t.variance + np.exp(2 * phi[0]) * t.excess_profile + (np.exp(phi[3]) * INTERFERENCE_DB * t.ratio) ** 2
     )
 
 
@@ -90,7 +91,7 @@ def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int], theta: n
     """The covariance of paths, walks and columns over all entries [RK, RK], entry by entry."""
     R, K = t.value.shape
     d = np.sqrt(3) * np.asarray(t.distance_octaves) / np.exp(phi[2])
-    growth = np.sqrt(np.asarray(t.variance_profile))
+    growth = np.asarray(t.smooth_profile)
     matern = np.exp(2 * phi[1]) * np.outer(growth, growth) * (1 + d) * np.exp(-d)
     total = np.zeros((R, K, R, K))
     walks = walk(t, phi, theta)

@@ -118,7 +118,7 @@ def test_the_knock_is_a_column_with_a_path_and_an_error_of_its_own():
     np.testing.assert_allclose(level.columns[:3, :, -1], other.columns[:3, :, 0])  # gains
     assert not level.columns[3:, :, -1].any()  # onsets
     assert level.systematic[-1, -1] == priors.KNOCK_PATH_SD**2
-    assert level.variance_profile[-1] == 0
+    assert level.excess_profile[-1] == level.smooth_profile[-1] == 0
     one = observe((LOUD, replace(SOFT, knock=np.nan)), TWO, 0, 0.0, True, True, *PRESSURE).level
     np.testing.assert_array_equal(one.detected[:, -1], [1, 0])
     # A known pickup has no path that the knock could take.

@@ -83,7 +83,7 @@ def _evaluate(
     by_variance, censored = _by_variance(point)
     matern, by_length = point.nodes.factors.matern
     by_path, by_noise = _by_path(point), by_variance / w + censored
-    excess = 2 * np.exp(2 * phi[:, 0, None, None]) * table.variance_profile
+    excess = 2 * np.exp(2 * phi[:, 0, None, None]) * table.excess_profile
     by_walk, by_velocity = _by_walk(point, theta)
     terms = by_noise * excess, 2 * by_path * matern, by_path * by_length
     terms = [x.sum(axis=(1, 2)) for x in (*terms, 2 * by_noise * interference_db(table, phi) ** 2)]

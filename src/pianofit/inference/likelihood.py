@@ -74,7 +74,8 @@ class ObservationTable(NamedTuple):
     has_unknown_path: Values  # 1 where the group has an unknown path, or the string deviates from its model [G]
     log_tau: Values  # log τ [T, G]
     log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
-    variance_profile: Values  # u, of σ² and A² [K]
+    excess_profile: Values  # u, of σ² [K]
+    smooth_profile: Values  # of A [K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
     velocity: Values  # derivative of each recording's log velocity by θ, 1 or 0 [R, size]
@@ -132,15 +133,15 @@ def interference_db(table: ObservationTable, phi: Values, xp: Space = np) -> Val
 
 def variance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> Values:
     """var/w [B, R, K]; φ = (log σ, log A, log ℓ, log η, log ρ) [B, 5]."""
-    excess = xp.exp(2 * phi[:, 0, None, None]) * table.variance_profile
+    excess = xp.exp(2 * phi[:, 0, None, None]) * table.excess_profile
     return (table.variance + excess + interference_db(table, phi, xp) ** 2) / w
 
 
 def _matern(table: ObservationTable, phi: Values, xp: Space) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [B, K, K]."""
     d = np.sqrt(3.0) * table.distance_octaves * xp.exp(-phi[:, 2, None, None])
-    growth = xp.sqrt(table.variance_profile)
-    decay = xp.exp(2 * phi[:, 1, None, None] - d) * growth[:, None] * growth
+    profile = table.smooth_profile
+    decay = xp.exp(2 * phi[:, 1, None, None] - d) * profile[:, None] * profile
     return (1 + d) * decay, d**2 * decay
 
 

@@ -167,7 +167,8 @@ def _levels(
         has_unknown_path=np.full(layout.groups, float(path)),
         log_tau=np.repeat(nodes[:, None], layout.groups, axis=1),
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
-        variance_profile=np.ones(len(number)),
+        excess_profile=np.ones(len(number)),
+        smooth_profile=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
         velocity=np.zeros((len(layout.stroke), 0)),
@@ -179,7 +180,7 @@ def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> Observ
     """Append the knock as a column: with a path and an error of its own, and without the excess of the partials."""
     value, error = np.array([[a.knock, a.knock_error] for a in analyses]).T[:, :, None]
     detected = np.isfinite(value)
-    zero, count = np.zeros_like(value), len(table.variance_profile)
+    zero, count = np.zeros_like(value), len(table.excess_profile)
     columns = np.zeros((*table.columns.shape[:2], 1))
     gains = table.scale.shape[1] - len(analyses)
     columns[:gains] = table.columns[:gains, :, :1]  # the gains; the onset does not matter
@@ -194,7 +195,8 @@ def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> Observ
         columns=np.append(table.columns, columns, axis=2),
         systematic=systematic,
         distance_octaves=apart,
-        variance_profile=np.append(table.variance_profile, 0.0),
+        excess_profile=np.append(table.excess_profile, 0.0),
+        smooth_profile=np.append(table.smooth_profile, 0.0),
         ratio=np.append(table.ratio, zero, axis=1),
     )
 
@@ -241,13 +243,13 @@ def _string_tables(
         systematic = t.decay_systematic / np.outer(decay, decay)
         ratio = np.maximum(t.decay / decay, priors.LEAST_DECAY_RATIO)
         loss.append((t.number, np.log(ratio), t.decay_error / (ratio * decay), systematic))
-    growth = 1 + (number / priors.LAW_REACH) ** 6
+    profile = number / priors.REFERENCE_PARTIAL
     # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
     # partials that beat. One recording does not show the scatter.
     scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
     common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), growth, common, priors.FREQUENCY),
+        _string_table(law, *_pool_recordings(number, pitch), profile, common, priors.FREQUENCY),
         _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY),
     )
 
@@ -268,7 +270,7 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 
-def _string_table(law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> ObservationTable:
+def _string_table(law, value, variance, systematic, profile, columns, hyper: priors.Hyperprior) -> ObservationTable:
     # The first three hyperparameters are used here, excess and smooth deviation; the others stay at their priors.
     mean = np.append(hyper.log_median, [NONE, NONE])
     ones = np.ones((1, len(value)))
@@ -285,7 +287,8 @@ def _string_table(law, value, variance, systematic, growth, columns, hyper: prio
         has_unknown_path=np.ones(1),
         log_tau=np.full((1, 1), NONE),
         log_weight=np.zeros((1, 1)),
-        variance_profile=growth,
+        excess_profile=np.ones(len(value)),
+        smooth_profile=profile,
         ratio=0 * ones,
         prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
         velocity=np.zeros((1, 0)),

@@ -77,16 +77,18 @@ class Hyperprior(NamedTuple):
 # sounds over the loudest partial (53 to 75 dB below it); deviation of a partial from the hammer model that strokes of
 # similar velocity share, dB over an e-fold of velocity. τ is integrated over: see PATH.
 LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002, 1.0), (0.7, 0.4, 0.4, 0.9, 1.0))
-# Frequencies: excess over the string model, cents, from partial to partial; amplitude of the smooth deviation, cents,
-# and its length, octaves. Soundboard, windings and end supports make neighbouring partials deviate alike.
+# Frequencies: excess over the string model, cents, from partial to partial; amplitude of the smooth deviation at
+# `REFERENCE_PARTIAL`, cents, and its length, octaves. Soundboard, windings and end supports make neighbouring partials
+# deviate alike.
 FREQUENCY = Hyperprior((0.5, 0.5, 0.7), (1.5, 1.5, 0.4))
 # Decays: the same, relative to the string model.
 DECAY = Hyperprior((0.2, 0.2, 0.7), (1.0, 1.0, 0.4))
 # Smallest ratio of an envelope's decay rate to the string model: the logarithm of a slope that beats made flat or
 # rising would count as a deviation by orders of magnitude.
 LEAST_DECAY_RATIO = 0.1
-# Partial from which windings and shear make a real string deviate from the string model.
-LAW_REACH = 10.0
+# Partial at which the smooth deviation of frequencies has its amplitude. It is proportional to the number of the
+# partial, because windings, shear and rotary inertia act on short waves. F of 12 keys of four pianos decides.
+REFERENCE_PARTIAL = 10.0
 
 
 def path_nodes(roughness: tuple[float, float] = PATH) -> tuple[np.ndarray, np.ndarray]:

@@ -176,8 +176,8 @@ def _excess_warning(fit: InferenceResult) -> str:
     """The deviations of partials from the model beyond the noise."""
     frequency, decay = (np.hypot(*np.exp(phi[0, :2])) for phi in fit.estimate.minima.candidates.phi[1:])
     return (
-        f"Beyond the noise, partials deviate from the model by {frequency:.2f} cents (more from partial "
-        f"{priors.LAW_REACH:.0f} on), {100 * decay:.0f} % in decay rate and {fit.excess:.2f} dB in level."
+        f"Beyond the noise, partials deviate from the model by {frequency:.2f} cents at partial "
+        f"{priors.REFERENCE_PARTIAL:.0f}, {100 * decay:.0f} % in decay rate and {fit.excess:.2f} dB in level."
     )
 
 
