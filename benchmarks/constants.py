@@ -115,6 +115,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`DECAY`, σ": (priors, "DECAY", median(0)),
         "`DECAY`, A": (priors, "DECAY", median(1)),
         "`REFERENCE_PARTIAL`": (priors, "REFERENCE_PARTIAL", plain),
+        "`DEVIATION_GROWTH`": (priors, "DEVIATION_GROWTH", plain),
         "`HIGHEST_HZ`": (observation_tables, "HIGHEST_HZ", plain),
         "`SAMPLES`": (multistart, "SAMPLES", plain),
         "`VELOCITIES`": (hammer, "VELOCITIES", points),

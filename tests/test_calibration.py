@@ -58,7 +58,7 @@ def test_a_string_with_outliers_is_fitted_from_several_excesses(monkeypatch):
     table, random = problem.observed.frequency, np.random.default_rng(5)
     d = np.sqrt(3) * table.distance_octaves / 0.7
     smooth = np.linalg.cholesky((1 + d) * np.exp(-d) + 1e-9 * np.eye(len(d))) @ random.normal(size=len(d))
-    cents = 0.6 * smooth[None] + 0.01 * random.standard_t(0.7, size=table.value.shape)
+    cents = 0.6 * table.smooth_profile * smooth[None] + 0.01 * random.standard_t(0.7, size=table.value.shape)
     exact = table._replace(value=cents, variance=np.full(cents.shape, 1e-4), systematic=0 * table.systematic)
     problem = replace(problem, observed=replace(problem.observed, frequency=exact))
 

@@ -243,7 +243,7 @@ def _string_tables(
         systematic = t.decay_systematic / np.outer(decay, decay)
         ratio = np.maximum(t.decay / decay, priors.LEAST_DECAY_RATIO)
         loss.append((t.number, np.log(ratio), t.decay_error / (ratio * decay), systematic))
-    profile = number / priors.REFERENCE_PARTIAL
+    profile = (number / priors.REFERENCE_PARTIAL) ** priors.DEVIATION_GROWTH
     # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
     # partials that beat. One recording does not show the scatter.
     scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0

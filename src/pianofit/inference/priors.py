@@ -86,9 +86,11 @@ DECAY = Hyperprior((0.2, 0.2, 0.7), (1.0, 1.0, 0.4))
 # Smallest ratio of an envelope's decay rate to the string model: the logarithm of a slope that beats made flat or
 # rising would count as a deviation by orders of magnitude.
 LEAST_DECAY_RATIO = 0.1
-# Partial at which the smooth deviation of frequencies has its amplitude. It is proportional to the number of the
-# partial, because windings, shear and rotary inertia act on short waves. F of 12 keys of four pianos decides.
+# Partial at which the smooth deviation of frequencies has its amplitude.
 REFERENCE_PARTIAL = 10.0
+# Exponent of its growth with the number of the partial: windings, shear and rotary inertia act on short waves. Keys of
+# four pianos decide (`benchmarks/string_deviations.py`).
+DEVIATION_GROWTH = 1.0
 
 
 def path_nodes(roughness: tuple[float, float] = PATH) -> tuple[np.ndarray, np.ndarray]:
