@@ -45,7 +45,7 @@ from .measured_fields import (
 # Decay rates of the exponentials, over that of the laws.
 RATIOS = np.geomspace(0.02, 200, 41)
 # Steps by which they are refined, the damping of the first, its factor after each, and the largest change of a
-# logarithm. With 20 steps the squared error is 0.6 % smaller.
+# logarithm. They say how fast the steps converge, not where: with 20 steps the squared error is 0.6 % smaller.
 REFINEMENTS = 5
 FIRST_DAMPING = 1e-2
 DAMPING_FACTOR = 10.0

@@ -11,7 +11,7 @@ from .decode import Number
 class ExcessSd:
     """Excess standard deviations beyond the noise."""
 
-    frequency_cents: Number
+    frequency_cents: Number  # at `REFERENCE_PARTIAL`
     decay_relative: Number
     level_db: Number
 
