@@ -41,6 +41,20 @@ def test_the_transform_of_a_knock_is_the_sum_over_its_samples(strings):
     assert _knock_transform(response, pole) == pytest.approx(direct, abs=0.02 * np.abs(direct).max())
 
 
+@pytest.mark.parametrize("decay", [3.0, 30.0, 300.0])
+def test_a_long_knock_gives_a_mode_its_energy_however_fast_the_mode_decays(strings, decay):
+    """Against the sum over all samples, for noise of half a second: the mean over modes, within 30 %."""
+    random, rate, seconds = np.random.default_rng(1), 4_000, 0.5
+    knock = random.normal(size=(1, round(seconds * rate)))
+    response = strings.instrument.keys[60].note.modal_response._replace(knock=knock, rate=rate)
+    pole = -decay + 2j * np.pi * np.linspace(300, 1500, 150)
+    time = np.arange(round((seconds + 7 / decay) * rate)) / rate
+    ringing = np.array([np.convolve(knock[0], np.exp(p * time))[: len(time)] for p in pole]) / rate
+    energy = (np.abs(ringing) ** 2).sum(axis=1) / rate
+    given = np.abs(_knock_transform(response, pole)[0]) ** 2 / (2 * decay)
+    assert given.sum() == pytest.approx(energy.sum(), rel=0.3)
+
+
 def test_a_knock_leaves_the_amplitudes_that_are_nearest_to_its_transform_in_all_channels(strings):
     response = strings.instrument.keys[60].note.modal_response
     radiated = -2 * 0.3 * strings.drive**2 * _knock_transform(response, strings.pole)

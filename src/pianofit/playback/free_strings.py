@@ -177,8 +177,10 @@ def _transform(force: ForcePulse, pole: np.ndarray) -> np.ndarray:
 def _knock_transform(response: ModalResponse, pole: np.ndarray) -> np.ndarray:
     """Transform of a knock at poles, relative to the contact, file units s per N s, complex [channels, modes].
 
-    The decay of a mode during the knock is neglected, except up to its centre.
+    The decay of a mode during the knock is neglected. A mode that decays evenly from the contact on with this amplitude
+    has the energy that the knock gives it, if the spectrum of the knock is smooth over the width of the mode.
     """
+    pole = 1j * np.imag(pole)
     knock, rate = response.knock, response.rate
     energy = (knock**2).sum(axis=0)
     centre = float(np.arange(knock.shape[-1]) @ energy / max(energy.sum(), 1e-300)) / rate

@@ -190,8 +190,7 @@ function knockTransforms({ knock, rate }, pole) {
     fft(spectrum.re, spectrum.im);
     const out = spectrumAt(spectrum, rate / size, centre, pole);
     for (let t = 0; t < pole.re.length; t++) {
-      const grown = Math.exp(pole.re[t] * (KNOCK_LEAD - centre)) / rate, angle = pole.im[t] * (KNOCK_LEAD - centre);
-      const c = grown * Math.cos(angle), s = grown * Math.sin(angle);
+      const angle = pole.im[t] * (KNOCK_LEAD - centre), c = Math.cos(angle) / rate, s = Math.sin(angle) / rate;
       [out.re[t], out.im[t]] = [out.re[t] * c - out.im[t] * s, out.re[t] * s + out.im[t] * c];
     }
     return out;
