@@ -37,9 +37,7 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 def number(value: Any, digits: int = 4, *, with_power: bool = False) -> str:
     """Return `value` with up to `digits` significant digits: 0.12, 304.1, 1.099 × 10¹⁰.
 
-    Parameters
-    ----------
-    with_power : write a power of ten where the value does not need one.
+    `with_power` writes a power of ten where the value does not need one.
     """
     if not is_number(value):
         return "–"

@@ -36,10 +36,6 @@ class _LayerGroup(NamedTuple):
     forces: list[ForcePulse]
     gain: np.ndarray  # from the fit; of plucks that of the reference recording [layers]
 
-    def modes(self) -> list[PartialModes]:
-        """The modes of all partials."""
-        return modes_of(self.aligned, [layer.analysis for layer in self.fitted])
-
 
 @one_blas_thread()
 def fit_modal_response(result: Result, progress: Callable[[str, float], None] = lambda *_: None) -> Result:
@@ -52,7 +48,7 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
-    modes = layers.modes()
+    modes = modes_of(layers.aligned, [layer.analysis for layer in layers.fitted])
     if not modes:
         return result
     response = estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain)

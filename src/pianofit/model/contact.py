@@ -40,16 +40,7 @@ class Pulse(NamedTuple):
     work: Float[Array, ""]  # energy that the contact transferred to the string, J
     contact_ended: Bool[Array, ""]  # proven: the hammer cannot touch the string again
 
-    def __repr__(self) -> str:
-        return summary(self)
-
-
-class PostContactState(NamedTuple):
-    """State of the modes after a contact, `steps` steps after the first touch."""
-
-    amplitude: ComplexModes  # m: afterwards each mode moves as q_n = Re(amplitude · z^(n - steps))
-    steps: Array
-    separated: Bool[Array, ""]  # hammer and string are apart after these steps
+    __repr__ = summary
 
 
 @float64
@@ -142,17 +133,24 @@ def strike(
 
 
 @float64
-def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> PostContactState:
-    """Return the state of the modes after a strike on a string at rest; it stops once the contact is proven over.
+def strike_final_state(
+    modes: Modes, hammer: Any, *, steps: int | AnyArray
+) -> tuple[ComplexModes, Array, Bool[Array, ""]]:
+    """Strike a string at rest; the strike stops once the contact is proven over.
 
     Parameters
     ----------
     steps : largest number of steps, a multiple of 32. It may be traced, so another number needs no new program.
+
+    Returns
+    -------
+    C_k, m, with which each mode moves as q_n = Re(C_k z_k^(n - N)) afterwards; the number N of computed steps; and
+    true if hammer and string are apart after these.
     """
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
     count, ((real, imag), _), separated, *_ = _until_over(modes, hammer, at_rest, steps)
-    return PostContactState(real + 1j * imag, jnp.asarray(count * BLOCK + 1), separated)
+    return real + 1j * imag, jnp.asarray(count * BLOCK + 1), separated
 
 
 @float64

@@ -22,8 +22,7 @@ class FreeMotion(NamedTuple):
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
     energy: Float[Array, ""]  # J
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
 
 @float64

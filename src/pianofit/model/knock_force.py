@@ -37,13 +37,9 @@ def add_probes(modes: Modes, f0: Any) -> Modes:
 
 
 def knock_level(force: Any, f0: Any, strike: Any, xp: Any = jnp) -> Any:
-    """Level of the knock, dB re N² · s [...].
+    """Level of the knock, dB re N² · s [...], for a strike at x0/L = `strike`.
 
-    Parameters
-    ----------
-    force : magnitude of the force's spectrum at the nodes of the band, N s [..., nodes].
-    f0 : Hz.
-    strike : x0/L.
+    `force` is the magnitude of the force's spectrum at the nodes of the band, N s [..., nodes].
     """
     phase = np.pi * nodes()
     share = xp.sin(phase * strike) / np.sin(phase)

@@ -56,8 +56,7 @@ class ForcePulse(NamedTuple):
     step: float  # s
     velocity: float  # size of the stroke: hammer velocity, m/s, or static force, N
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
     def drive(self, pole: np.ndarray) -> np.ndarray:
         """∫ F e^{-pole t} dt, N s, complex [modes]: the excitation of the modes."""
@@ -104,8 +103,7 @@ class VelocityGain(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, ascending [strokes]
     factor: np.ndarray  # a, complex [strokes, modes]
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
     def at(self, velocity: float) -> np.ndarray:
         """Interpolate the gain by `at_velocity`, complex [modes]."""
@@ -127,8 +125,7 @@ class ModalResponse(NamedTuple):
     rate: int  # of the knock, Hz
     velocity_gain: VelocityGain | None = None  # velocity gain a; None is 1
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
     @property
     def channels(self) -> int:

@@ -52,8 +52,7 @@ class Modes(NamedTuple):
     free_pickup: ComplexModes  # the pickup for free motion, without gain correction
     step: Float[Array, ""]  # δt, s
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
 
 def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:

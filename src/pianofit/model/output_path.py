@@ -27,8 +27,7 @@ class VelocityDiscrepancy(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, ascending [strokes]
     db: np.ndarray  # [strokes, partials]
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
 
 class OutputPath(NamedTuple):
@@ -41,8 +40,7 @@ class OutputPath(NamedTuple):
     db: np.ndarray
     velocity_discrepancy: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__ = summary
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the path in dB at `frequency`, Hz [frequencies]; for a given partial its own value."""
