@@ -29,9 +29,9 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a count with its noun: "1 key", "2 keys". `plural` is for nouns without a regular plural."""
-    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: "1 key", "2 keys"."""
+    return f"{count} {noun if count == 1 else noun + 's'}"
 
 
 def number(value: Any, digits: int = 4, *, with_power: bool = False) -> str:
@@ -118,7 +118,7 @@ def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
     ]
 
 
-def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
+def summary(it: Any, /, *, lines: bool = False, exact: bool = False) -> str:
     """Return the repr of a named tuple: arrays as shapes, numbers with six digits, or `exact`.
 
     With `lines` every field has its own line.

@@ -36,9 +36,13 @@ class _LayerGroup(NamedTuple):
     forces: list[ForcePulse]
     gain: np.ndarray  # from the fit; of plucks that of the reference recording [layers]
 
+    def modes(self) -> list[PartialModes]:
+        """The modes of all partials."""
+        return modes_of(self.aligned, [layer.analysis for layer in self.fitted])
+
 
 @one_blas_thread()
-def fit_modal_response(result: Result, progress: Callable[[str, float], None] = lambda *_: None) -> Result:
+def fit_modal_response(result: Result, progress: Callable[[str, float], None]) -> Result:
     """The fit with a modal response in its notes: aftersound, beating, knock and channels.
 
     A calibrated fit keeps the string model, because nothing between its string and its file is unknown. So does a fit
@@ -48,7 +52,7 @@ def fit_modal_response(result: Result, progress: Callable[[str, float], None] = 
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
-    modes = modes_of(layers.aligned, [layer.analysis for layer in layers.fitted])
+    modes = layers.modes()
     if not modes:
         return result
     response = estimate_shared_response(layers.aligned, modes, layers.forces, layers.gain)

@@ -154,25 +154,22 @@ def strike_final_state(
 
 
 @float64
-def strike_until_over(
-    modes: Modes, hammer: Any, *, steps: int | AnyArray, stored: int, batch: str | None = None
-) -> tuple[Pulse, Array]:
+def strike_until_over(modes: Modes, hammer: Any, *, steps: int, batch: str) -> tuple[Pulse, Array]:
     """Return the pulse of a strike on a string at rest; it stops once the contact is proven over.
 
     Parameters
     ----------
-    steps : largest number of steps, a multiple of 32, at most `stored`. It may be traced.
-    stored : steps of the arrays of the pulse.
-    batch : name of the axis of `jax.vmap`. All strokes then stop together, after the longest contact. Without the name
-        each would copy its arrays in every block until then.
+    steps : largest number of steps, a multiple of 32.
+    batch : name of the axis of `jax.vmap`. All strokes stop together, after the longest contact. Otherwise each would
+        copy its arrays in every block until then.
 
     Returns
     -------
-    The pulse [stored], and the number of computed steps; later ones are zero.
+    The pulse [steps], and the number of computed steps; later ones are zero.
     """
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
-    outputs = (*(jnp.zeros(stored + 1),) * 4, jnp.zeros(stored + 1).at[0].set(hammer.v_H0))
+    outputs = (*(jnp.zeros(steps + 1),) * 4, jnp.zeros(steps + 1).at[0].set(hammer.v_H0))
     count, _, _, outputs, work, over = _until_over(modes, hammer, at_rest, steps, None, outputs, batch)
     drive, force, u, y, v = (x[:-1] for x in outputs)
     return Pulse(drive, force, u, jnp.stack([y, v], axis=-1), work, over), jnp.asarray(count * BLOCK)

@@ -40,14 +40,14 @@ def excite(modes: Modes, hammer: Any, law: Excitation, *, steps: int, free: Free
 
 
 def excite_until_over(
-    modes: Modes, hammer: Any, law: Excitation, *, steps: int, batch: str | None = None
+    modes: Modes, hammer: Any, law: Excitation, *, steps: int, batch: str
 ) -> tuple[Pulse, Array, FreeMotion | None]:
     """Return pulse [steps], the number of computed steps, and free motion, for a string at rest.
 
     `batch` is as for `strike_until_over`.
     """
     if law.has_contact:
-        pulse, computed = strike_until_over(modes, hammer, steps=steps, stored=steps, batch=batch)
+        pulse, computed = strike_until_over(modes, hammer, steps=steps, batch=batch)
         return pulse, computed, None
     return no_contact(steps), jnp.asarray(BLOCK), release(modes, hammer, law)
 

@@ -313,8 +313,7 @@ jax.tree_util.register_pytree_node(
 @partial(jax.jit, static_argnums=(3, 4))
 def _levels(note, values, rate, rows, steps):
     """Levels of all modes [strokes, modes], dB in the unit of the pickup, and of the knock [strokes], dB."""
-    f0 = note.string.c / (2 * note.geometry.length)
-    zeta = -2j * jnp.pi * f0 * nodes() / rate
+    zeta = -2j * jnp.pi * note.f0 * nodes() / rate
 
     def level_at(value):
         own = note.with_stroke(value)
@@ -323,7 +322,7 @@ def _levels(note, values, rate, rows, steps):
         delay = arrival(own.string, own.geometry, own.quantity, jnp)
         amplitude = modal_amplitudes(modes, pulse.drive, free) * jnp.exp(modes.pole.real * delay)
         force = jnp.abs(z_transform(pulse.force, zeta)) / rate
-        knock = knock_level(force, f0, own.geometry.strike_position / own.geometry.length)
+        knock = knock_level(force, note.f0, own.geometry.strike_position / own.geometry.length)
         over = pulse.compression[-1] <= 0
         return jnp.where(over, level_db(amplitude, -modes.pole.real), jnp.inf), jnp.where(over, knock, jnp.inf)
 
