@@ -118,7 +118,7 @@ def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
     ]
 
 
-def summary(it: Any, /, *, lines: bool = False, exact: bool = False) -> str:
+def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
     """Return the repr of a named tuple: arrays as shapes, numbers with six digits, or `exact`.
 
     With `lines` every field has its own line.

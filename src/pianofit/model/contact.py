@@ -40,7 +40,8 @@ class Pulse(NamedTuple):
     work: Float[Array, ""]  # energy that the contact transferred to the string, J
     contact_ended: Bool[Array, ""]  # proven: the hammer cannot touch the string again
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 @float64

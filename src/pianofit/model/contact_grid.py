@@ -25,7 +25,8 @@ class ContactGrid(NamedTuple):
     n_modes: int  # rows of the table of modes
     steps: int  # until the contact is proven to be over, a multiple of 32
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 def contact_grid(string: String, hammer: Any, geometry: Geometry, *, rate: float = 44_100.0) -> ContactGrid:

@@ -22,7 +22,8 @@ class FreeMotion(NamedTuple):
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
     energy: Float[Array, ""]  # J
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 @float64

@@ -56,7 +56,8 @@ class ForcePulse(NamedTuple):
     step: float  # s
     velocity: float  # size of the stroke: hammer velocity, m/s, or static force, N
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
     def drive(self, pole: np.ndarray) -> np.ndarray:
         """∫ F e^{-pole t} dt, N s, complex [modes]: the excitation of the modes."""
@@ -103,7 +104,8 @@ class VelocityGain(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, ascending [strokes]
     factor: np.ndarray  # a, complex [strokes, modes]
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
     def at(self, velocity: float) -> np.ndarray:
         """Interpolate the gain by `at_velocity`, complex [modes]."""
@@ -125,7 +127,8 @@ class ModalResponse(NamedTuple):
     rate: int  # of the knock, Hz
     velocity_gain: VelocityGain | None = None  # velocity gain a; None is 1
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
     @property
     def channels(self) -> int:

@@ -52,7 +52,8 @@ class Modes(NamedTuple):
     free_pickup: ComplexModes  # the pickup for free motion, without gain correction
     step: Float[Array, ""]  # δt, s
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:

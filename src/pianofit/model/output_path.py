@@ -27,7 +27,8 @@ class VelocityDiscrepancy(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, ascending [strokes]
     db: np.ndarray  # [strokes, partials]
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 class OutputPath(NamedTuple):
@@ -40,7 +41,8 @@ class OutputPath(NamedTuple):
     db: np.ndarray
     velocity_discrepancy: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
 
-    __repr__ = summary
+    def __repr__(self) -> str:
+        return summary(self)
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the path in dB at `frequency`, Hz [frequencies]; for a given partial its own value."""
