@@ -92,13 +92,13 @@ def test_probes_read_the_force_and_do_not_touch_the_contact():
     modes = mode_table(it.string, it.geometry, rate=176_400.0, n_modes=48, quantity="bridge-force")
     f0 = float(it.string.c / (2 * it.geometry.length))
     with_probes = add_probes(modes, f0)
-    plain, found = (strike_final_state(m, it.hammer, steps=2048) for m in (modes, with_probes))
+    plain, found = (strike_final_state(m, it.hammer, steps=2048)[0] for m in (modes, with_probes))
     # The contact is solved to a tolerance.
-    np.testing.assert_allclose(found.amplitude[:48], plain.amplitude, atol=1e-6 * np.abs(plain.amplitude).max())
+    np.testing.assert_allclose(found[:48], plain, atol=1e-6 * np.abs(plain).max())
     force = np.asarray(strike(modes, it.hammer, steps=2048).force)
     time = np.arange(len(force)) * float(modes.step)
     spectrum = np.exp(-2j * np.pi * f0 * nodes()[:, None] * time) @ force * float(modes.step)
-    np.testing.assert_allclose(np.abs(with_probes.pickup * found.amplitude)[48:], np.abs(spectrum), rtol=1e-3)
+    np.testing.assert_allclose(np.abs(with_probes.pickup * found)[48:], np.abs(spectrum), rtol=1e-3)
 
 
 LOUD = replace(analysis([1, 2, 3], [0.0, -10.0, -20.0]), knock=-25.0, knock_error=0.2)

@@ -145,13 +145,7 @@ FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
 def check(
     values: Mapping[str, float], where: str = "argument", bounds: Mapping[str, Parameter] = PARAMETERS
 ) -> dict[str, float]:
-    """Return `values` as finite floats within their `bounds`.
-
-    Raises
-    ------
-    ParameterError
-        The message names `where`, the parameter, its value and its range.
-    """
+    """Return `values` as finite floats within their `bounds`, or raise a `ParameterError` that begins with `where`."""
     for name, value in values.items():
         if name not in bounds:
             raise ParameterError(f"{where}: no parameter is called {name!r}; use one of {', '.join(bounds)}")

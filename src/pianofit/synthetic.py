@@ -127,13 +127,7 @@ def synthetic_recording(
 
 
 def demo_recording(noise_db: float | None = 60.0, seed: int = 0) -> SyntheticRecording:
-    """The recording of the demo: the final values of the paper, with a setup that starts from its initial values.
-
-    Parameters
-    ----------
-    noise_db : rms of the first second of the note over rms of the noise. If None, no noise.
-    seed : seed of the noise.
-    """
+    """The recording of the demo: the final values of the paper, with a setup that starts from its initial values."""
     final, initial = preset("bensa-final"), preset("bensa-initial")
     rate, lead, scale = 44_100, 2_205, 2.0  # Hz; samples of silence, 0.05 s; m/s at full scale
     stroke = simulate(final.string, final.hammer, final.geometry, rate=rate, oversampling=32)

@@ -74,12 +74,7 @@ class FittedBands:
         return 1.3 + 4 / np.sqrt(frames * self.bands.noise_width / self.bands.rate)
 
     def with_errors(self, cut: slice, fit: Exponentials, damping: float = 0.0) -> ExponentialFit:
-        """`fit` of the frames `cut`, with its errors due to noise.
-
-        Parameters
-        ----------
-        damping : 1/s; the frames were multiplied by exp(-damping τ), with τ from the first of them
-        """
+        """`fit` of the frames `cut`, which were multiplied by exp(-damping τ), with its errors due to noise."""
         fade = np.exp(-2 * damping * (self.bands.time[cut] - fit.origin))
         count = np.sum(fade) ** 2 / np.sum(fade**2)
         noise = self.frame_noise * np.mean(fade)
@@ -99,12 +94,7 @@ class FittedBands:
 
 
 def fit_bands(bands: Bands, density: np.ndarray) -> FittedBands:
-    """Fit one exponential to all frames of each band, without the leakage of its neighbours.
-
-    Parameters
-    ----------
-    density : one-sided noise density, full scale²/Hz [partials]
-    """
+    """Fit one exponential to all frames of each band, without the leakage of its neighbours."""
     z, t = bands.z, bands.time
     early = bands.frames_within(0.0, t[0] + 1.0)
     fit = fit_exponentials(z[:, early], t[early], autocorrelation_poles(z[:, early], t[early], bands.window / 2))
@@ -152,11 +142,8 @@ def measure_levels(fitted: FittedBands, decay: np.ndarray) -> tuple[np.ndarray, 
     """Levels and their standard errors due to noise, dB, and `Partials.level_decay_sensitivity_s`, s.
 
     The weight falls with the amplitude that the decay law predicts. A slower weight would include more noise, a faster
-    one would depend on the phase of the beats.
-
-    Parameters
-    ----------
-    decay : 1/s [partials], which converts the energy of the frames to that of the level's span
+    one would depend on the phase of the beats. `decay`, 1/s [partials], converts the energy of the frames to that of
+    the level's span.
     """
     bands, frame, offset = fitted.bands, fitted.frame_noise, 1j * fitted.fit.pole.imag
     cut = bands.frames_within(0.0, bands.time[0] + LEVEL_FRAMES_SECONDS)

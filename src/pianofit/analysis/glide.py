@@ -89,11 +89,7 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
     """The bands without the glide, the glide, and its error in cents.
 
     The mean pitch over the reference window does not change. The remaining glide is measured and removed again as long
-    as it becomes smaller.
-
-    Parameters
-    ----------
-    windows : from `glide_windows`; windows without a standard error are not used
+    as it becomes smaller. Windows without a standard error are not used.
     """
     windows = [row for row in windows if np.isfinite(row[3])]
     spans, bands = [row[:2] for row in windows], fitted.bands

@@ -127,11 +127,8 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
     """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
 
     Beyond `LAST_TRUSTED_PARTIAL` the error of the law grows as the cube of the number, because windings and the shear
-    of a stiff string make real partials deviate from it.
-
-    Parameters
-    ----------
-    B : fixed value with an infinite error; required for a single partial
+    of a stiff string make real partials deviate from it. A given `B` is fixed, with an infinite error; a single partial
+    requires it.
     """
     k = np.asarray(k, float)
     value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²

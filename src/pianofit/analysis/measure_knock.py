@@ -18,12 +18,7 @@ LEAST_SNR = 10.0
 
 
 def measure_knock(recording: Recording, f0: float) -> tuple[float, float]:
-    """Level of the knock, dB re full scale² · s, and its standard error due to noise; NaN and infinity without one.
-
-    Parameters
-    ----------
-    f0 : Hz.
-    """
+    """Level of the knock, dB re full scale² · s, and its standard error due to noise; NaN and infinity without one."""
     rate, onset, samples = recording.rate, recording.onset, np.asarray(recording.samples, float)
     rest = len(samples) - onset - round(NOISE_FROM * rate)
     if not has_knock(f0) or rest < LEAST_NOISE * rate:

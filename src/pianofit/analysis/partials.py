@@ -74,11 +74,7 @@ class _Fits:
 def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> tuple[Partials, DecayLaw]:
     """Measure the partials `number`, and the decay law over the whole recording, on which the levels are based.
 
-    The table has no bounds on absent partials yet.
-
-    Parameters
-    ----------
-    glides : True if a glide was detected; frequencies then come from 0.2 to 1.0 s
+    The table has no bounds on absent partials yet. If a glide was detected, frequencies come from 0.2 to 1.0 s.
     """
     bands, fit = fitted.bands, fitted.fit
     clean = _one_exponential(fitted)

@@ -56,17 +56,7 @@ class Stroke:
 
 
 def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
-    """Find the strokes of a long recording.
-
-    Parameters
-    ----------
-    samples : sound [channels, samples].
-    rate : sample rate, Hz.
-
-    Returns
-    -------
-    Strokes in order of time, unsure ones included.
-    """
+    """Find the strokes of a long recording [channels, samples], in order of time, unsure ones included."""
     # Channels of opposite phase would cancel in their mean.
     mono = samples[np.argmax(np.sum(samples**2, axis=1))]
     levels = _band_levels(mono, rate)

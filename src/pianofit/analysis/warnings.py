@@ -23,14 +23,7 @@ def analysis_warnings(
     glide_cents: float,
     second_stroke_s: float | None,
 ) -> tuple[str, ...]:
-    """All warnings of an analysis.
-
-    Parameters
-    ----------
-    note : the given note
-    glide_cents : fall of the pitch; 0 if it is not significant
-    second_stroke_s : time of a second stroke, s
-    """
+    """All warnings of an analysis. `glide_cents` is the fall of the pitch, 0 if it is not significant."""
     warnings = [_wrong_note(note, law.f0), _bound(law)]
     if second_stroke_s is not None:
         warnings.append(

@@ -6,9 +6,9 @@ by `hammer`, the pluck by `pluck`. A new excitation is a file in this package an
 
 from __future__ import annotations
 
-from .hammer import HAMMER_WORDS, VELOCITY_OF_STROKE
+from .hammer import VELOCITY_OF_STROKE
 from .pluck import PLUCK, Pluck
-from .protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter, Words
+from .protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter
 
 # All excitations except the hammer, by their name in files.
 OTHERS: dict[str, Excitation] = {PLUCK.name: PLUCK}
@@ -20,14 +20,11 @@ NAMES = (HAMMER, *OTHERS)
 __all__ = [
     "GEOMETRY_FIELDS",
     "HAMMER",
-    "HAMMER_WORDS",
     "NAMES",
     "OTHERS",
     "PLUCK",
     "STROKES",
-    "VELOCITY_OF_STROKE",
     "Excitation",
     "Pluck",
     "StrokeParameter",
-    "Words",
 ]

@@ -75,16 +75,8 @@ class Pluck(NamedTuple):
         return summary(self, exact=True)
 
 
-def _prior(geometry: Geometry) -> tuple[float, float]:
-    return POSITION * geometry.length, POSITION_SD
-
-
 def _bounds(geometry: Geometry) -> tuple[float, float]:
     return POSITIONS[0] * geometry.length, POSITIONS[1] * geometry.length
-
-
-def _grid(count: int) -> Any:
-    return lambda geometry: np.linspace(*_bounds(geometry), count)
 
 
 def _starts(geometry: Geometry, rank: np.ndarray) -> list[np.ndarray]:
@@ -95,18 +87,14 @@ STROKE = StrokeParameter(
     "x0",
     "m",
     "plucking position, from the nearer end",
-    _prior,
+    lambda geometry: (POSITION * geometry.length, POSITION_SD),
     _bounds,
-    _grid(COARSE),
-    _grid(FINE),
+    lambda geometry: np.linspace(*_bounds(geometry), COARSE),
+    lambda geometry: np.linspace(*_bounds(geometry), FINE),
     _starts,
     lambda _, setup: setup.strike_position,
     scale_is_open=False,
 )
-
-
-WORDS = Words("pluck", "plucking position", "plucking positions", "plucking position", "plucked")
-FORMULA = (r"q_k(0) = \frac{2 F}{M_S ω_k^2} ∫ w(x) \op{sin}(β_k x) \op{d}x", r"\dot{q}_k(0) = 0")
 
 
 class PluckLaw(Excitation):
@@ -117,8 +105,8 @@ class PluckLaw(Excitation):
     parameters: Mapping[str, Parameter] = MappingProxyType({})
     columns = ("width", "pickup")
     stroke: ClassVar[StrokeParameter] = STROKE
-    words: ClassVar[Words] = WORDS
-    formula = FORMULA
+    words = Words("pluck", "plucking position", "plucking positions", "plucking position", "plucked")
+    formula = (r"q_k(0) = \frac{2 F}{M_S ω_k^2} ∫ w(x) \op{sin}(β_k x) \op{d}x", r"\dot{q}_k(0) = 0")
     hammers = Pluck
     has_contact: ClassVar[bool] = False
     size: ClassVar[str] = "force"

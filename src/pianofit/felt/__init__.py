@@ -53,13 +53,7 @@ def is_builtin(law: Excitation) -> bool:
 
 
 def law_of(hammer: Any) -> Any:
-    """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0.
-
-    Raises
-    ------
-    ParameterError
-        If the argument is not a hammer.
-    """
+    """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0."""
     kind = type(hammer)
     for law in (getattr(kind, "law", None), *LAWS.values(), *OTHERS.values()):
         if law is not None and law.hammer_type is kind:
@@ -68,25 +62,13 @@ def law_of(hammer: Any) -> Any:
 
 
 def plain_law(hammer: Any) -> Any:
-    """Return the law with the fewest parameters that describes this hammer.
-
-    Raises
-    ------
-    ParameterError
-        If the argument is not a hammer.
-    """
+    """Return the law with the fewest parameters that describes this hammer."""
     law = law_of(hammer)
     return POWER if law is HUNT_CROSSLEY and not hammer.mu else law
 
 
 def check_hammer(hammer: Any, where: str = "hammer") -> None:
-    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0, a felt without loss, is allowed.
-
-    Raises
-    ------
-    ParameterError
-        The message names `where`, the parameter, its value and its range.
-    """
+    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0, a felt without loss, is allowed."""
     law = law_of(hammer)
     for name, value in hammer._asdict().items():
         if getattr(value, "ndim", 0):
@@ -97,20 +79,8 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
     check(values, where, ALL_PARAMETERS | law.hammer_parameters)
 
 
-def make_hammer(values: Mapping[str, float], where: str = "argument", law: Excitation | None = None) -> Any:
-    """Return a hammer with these `values`: of `law` if given, else with a skin or relaxing if they contain one.
-
-    Raises
-    ------
-    ParameterError
-        If a value is missing.
-    """
-    if law is not None and not law.has_contact:
-        return law.make_hammer(values)
-    if law is not None and law.hammers is None:
-        if missing := [name for name in law.hammer_parameters if name not in values]:
-            raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
-        return law.make_hammer(values)
+def make_hammer(values: Mapping[str, float], where: str = "argument") -> Any:
+    """Return a hammer with these `values`: soft or relaxing if they contain a skin, or epsilon and tau."""
     common = [values[name] for name in HAMMER_NAMES]
     if "skin" in values:
         return SoftHammer(*common, skin=values["skin"])

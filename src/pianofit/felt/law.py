@@ -18,21 +18,13 @@ from typing import Any, ClassVar
 
 from ..errors import ParameterError
 from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, STRIKE, VELOCITY_OF_STROKE
-from ..excitation.protocol import Excitation, StrokeParameter, Words
-from ..parameters import PARAMETERS, Geometry, Parameter, check
+from ..excitation.protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter, Words
+from ..parameters import PARAMETERS, STRING_NAMES, Geometry, Parameter, check
 
 # Parameters of every hammer, in addition to those of its felt.
 COMMON_PARAMETERS = ("M_H", "v_H0")
 # Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.
-RESERVED_NAMES = {
-    *COMMON_PARAMETERS,
-    *(name for name in PARAMETERS if name not in ("K_H", "mu", "p")),
-    "x0",
-    "width",
-    "L",
-    "M_S",
-    "pickup",
-}
+RESERVED_NAMES = {*STRING_NAMES, *COMMON_PARAMETERS, *GEOMETRY_FIELDS}
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from ..excitation import GEOMETRY_FIELDS
 from ..model.excite import signal_state
 from ..model.knock_force import add_probes, knock_level
 from ..model.modes import mode_table
+from ..model.note import arrival
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES
 from ..parameters import String
@@ -59,26 +60,22 @@ def _level(
         base = jnp.log(cfg.law.power_base(jnp.where(u > 0, u, 1.0), values))
         values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, values[p] * base, 0.0))
     hammer = cfg.law.make_hammer(values, jnp.zeros_like(values[cfg.law.stroke.name]))
-    on_string = TRANSDUCERS[cfg.quantity].on_string
     places = {field: values[name] for name, field in GEOMETRY_FIELDS.items() if name in values}
     geometry = inputs.geometry._replace(**places)
-    strike_position, width = geometry.strike_position, geometry.width
     modes = mode_table(string, geometry, rate=inputs.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
     f0 = string.c / (2 * geometry.length)
     modes = add_probes(modes, f0) if cfg.knock else modes
     state = signal_state(modes, hammer, cfg.law, steps=inputs.steps)
-    end = geometry.pickup if on_string else geometry.length
-    delay = jnp.maximum(jnp.abs(end - strike_position) - width / 2, 0.0) / string.c
     # Amplitudes after the contact, extrapolated back to the arrival.
     alpha = -modes.pole.real[: cfg.rows]
     amplitude = state.amplitude[: cfg.rows]
     size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
-    size = size + alpha * (state.time - delay)
+    size = size + alpha * (state.time - arrival(string, geometry, cfg.quantity, jnp))
     rate = 2 * (alpha + LEVEL_RATE / 2)
     level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
     if cfg.knock:
         force = jnp.abs(state.amplitude[cfg.n_modes :])
-        level = jnp.append(level, knock_level(force, f0, strike_position / geometry.length))
+        level = jnp.append(level, knock_level(force, f0, geometry.strike_position / geometry.length))
     return level, state.ended
 
 
@@ -131,7 +128,7 @@ def thread_pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores())
 
 
-def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size: int) -> tuple[np.ndarray, ...]:
+def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size: int) -> Any:
     """Run `program` on any number of strokes, `size` at a time, on all cores.
 
     Parameters
@@ -143,8 +140,8 @@ def run_in_batches(program: Callable, batch: tuple, inputs: Any, cfg: Any, size:
     padded = [np.concatenate([x, np.repeat(x[-1:], -count % size, axis=0)]) for x in arrays]
     starts = range(0, len(padded[0]), size)
     batches = [(*sum(common, ()), *(x[at : at + size] for x in padded)) for at in starts]
-    parts = list(thread_pool().map(lambda own: [np.asarray(x) for x in program(*own, inputs, cfg)], batches))
-    return tuple(np.concatenate(column)[:count] for column in zip(*parts, strict=True))
+    parts = thread_pool().map(lambda own: jax.tree.map(np.asarray, program(*own, inputs, cfg)), batches)
+    return jax.tree.map(lambda *column: np.concatenate(column)[:count], *parts)
 
 
 # --- residuals of the tables ------------------------------------------------------------------------------------------

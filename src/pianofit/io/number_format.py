@@ -29,17 +29,15 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a count with its noun: "1 key", "2 keys". `plural` is for nouns without a regular plural."""
-    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: "1 key", "2 keys"."""
+    return f"{count} {noun if count == 1 else noun + 's'}"
 
 
 def number(value: Any, digits: int = 4, *, with_power: bool = False) -> str:
     """Return `value` with up to `digits` significant digits: 0.12, 304.1, 1.099 × 10¹⁰.
 
-    Parameters
-    ----------
-    with_power : write a power of ten where the value does not need one.
+    `with_power` writes a power of ten where the value does not need one.
     """
     if not is_number(value):
         return "–"

@@ -41,13 +41,7 @@ class Spec(NamedTuple):
 
 
 def parse_format_spec(text: str) -> Spec:
-    """Parse a format specification.
-
-    Raises
-    ------
-    ParameterError
-        If the specification is invalid.
-    """
+    """Parse a format specification, or raise a `ParameterError` if it is invalid."""
     match = SPEC.fullmatch(text)
     digits = None if not match or match["digits"] is None else int(match["digits"])
     if not match or (match["u"] and not digits) or (digits or 0) > MOST_DIGITS:

@@ -101,12 +101,8 @@ def relative_pitches(
 ) -> np.ndarray:
     """Relative detuning of each layer from the last [layers]: the weighted median over its partials.
 
-    The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent.
-
-    Parameters
-    ----------
-    spectrum : half spectra of the layers [layers, channels, bins].
-    partials : number, frequency and spacing, Hz, of each.
+    The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent. `partials`
+    has number, frequency and spacing of each, Hz.
     """
     offset, weight = [], []
     for _, frequency, spacing in partials[:PITCH_PARTIALS]:

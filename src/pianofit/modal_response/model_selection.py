@@ -42,7 +42,7 @@ class _LayerGroup(NamedTuple):
 
 
 @one_blas_thread()
-def fit_modal_response(result: Result, progress: Callable[[str, float], None] = lambda *_: None) -> Result:
+def fit_modal_response(result: Result, progress: Callable[[str, float], None]) -> Result:
     """The fit with a modal response in its notes: aftersound, beating, knock and channels.
 
     A calibrated fit keeps the string model, because nothing between its string and its file is unknown. So does a fit

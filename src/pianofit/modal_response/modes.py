@@ -278,11 +278,8 @@ def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray
     """Pattern common to all layers [..., channels, modes], and each layer's complex factor on it [..., layers].
 
     The pattern is the first singular vector over [layers, (channels, modes)]. Layers are divided by their noise, which
-    is taken as at least `LARGEST_LAYER_SNR` dB below the layer's own amplitude.
-
-    Parameters
-    ----------
-    amplitude, noise : [..., layers, channels, modes] and [..., layers, channels].
+    is taken as at least `LARGEST_LAYER_SNR` dB below the layer's own amplitude. The arguments are [..., layers,
+    channels, modes] and [..., layers, channels].
     """
     rows = amplitude.reshape(*amplitude.shape[:-2], -1)
     weight = 1 / np.maximum(

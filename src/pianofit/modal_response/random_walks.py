@@ -18,10 +18,7 @@ UNINFORMATIVE_ERROR = 1e3
 def smooth_random_walk(observed: np.ndarray, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Posterior mean of random walks over log velocity, with unknown start [strokes, walks].
 
-    Parameters
-    ----------
-    observed, error : values and their standard errors [strokes, walks]. A common scatter is added to the errors.
-    velocity : velocities of the strokes, m/s, increasing.
+    A common scatter is added to the standard errors [strokes, walks]. Velocities of the strokes, m/s, increase.
     """
     log_velocity, y = np.log(velocity / velocity[0]), observed.T
     step, scatter = (x.ravel()[:, None, None, None] for x in np.meshgrid(GRID, GRID))

@@ -48,10 +48,7 @@ class ValidFrames:
 def select_valid_frames(b: Bands, between: np.ndarray, ends: np.ndarray) -> ValidFrames | None:
     """Select the frames of a band [layers, channels, frames] that are fitted; None if no layer exceeds its noise.
 
-    Parameters
-    ----------
-    between : magnitude of the band half a spacing above [layers, channels, frames]. It measures the noise.
-    ends : s, of each layer.
+    The noise is measured `between` partials, in the band half a spacing above [layers, channels, frames].
     """
     # The noise is measured in the last fifth of each layer, or in the last valid frame of a short one. The rms of noise
     # is 1.2 times the median of its magnitude (Rayleigh).

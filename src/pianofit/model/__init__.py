@@ -4,19 +4,16 @@ A string is a table of modes (`modes`). Contact is one scalar equation per step 
 in closed form (`free_response`). All is computed in float64 (`pianofit.x64`).
 """
 
-from .contact import Pulse, kernel, strike
+from .contact import kernel, strike
 from .free_motion import pluck, project
 from .free_response import level_db, levels, mobility, modal_amplitudes, spectrum, waveform
 from .modes import Modes, mode_frequencies, mode_table, window_weights
 from .note import Note
-from .output_path import OutputPath
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
     "Modes",
     "Note",
-    "OutputPath",
-    "Pulse",
     "Simulation",
     "contact_rate",
     "kernel",

@@ -44,14 +44,6 @@ class Pulse(NamedTuple):
         return summary(self)
 
 
-class PostContactState(NamedTuple):
-    """State of the modes after a contact, `steps` steps after the first touch."""
-
-    amplitude: ComplexModes  # m: afterwards each mode moves as q_n = Re(amplitude · z^(n - steps))
-    steps: Array
-    separated: Bool[Array, ""]  # hammer and string are apart after these steps
-
-
 @float64
 def impulse_amplitude(modes: Modes) -> ComplexModes:
     """C_k, m/N: after a unit `T` at step 0 the mode moves as q_n = Re(C_k z_k^n), n ≥ 0."""
@@ -142,39 +134,43 @@ def strike(
 
 
 @float64
-def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> PostContactState:
-    """Return the state of the modes after a strike on a string at rest; it stops once the contact is proven over.
+def strike_final_state(
+    modes: Modes, hammer: Any, *, steps: int | AnyArray
+) -> tuple[ComplexModes, Array, Bool[Array, ""]]:
+    """Strike a string at rest; the strike stops once the contact is proven over.
 
     Parameters
     ----------
     steps : largest number of steps, a multiple of 32. It may be traced, so another number needs no new program.
+
+    Returns
+    -------
+    C_k, m, with which each mode moves as q_n = Re(C_k z_k^(n - N)) afterwards; the number N of computed steps; and
+    true if hammer and string are apart after these.
     """
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
     count, ((real, imag), _), separated, *_ = _until_over(modes, hammer, at_rest, steps)
-    return PostContactState(real + 1j * imag, jnp.asarray(count * BLOCK + 1), separated)
+    return real + 1j * imag, jnp.asarray(count * BLOCK + 1), separated
 
 
 @float64
-def strike_until_over(
-    modes: Modes, hammer: Any, *, steps: int | AnyArray, stored: int, batch: str | None = None
-) -> tuple[Pulse, Array]:
+def strike_until_over(modes: Modes, hammer: Any, *, steps: int, batch: str) -> tuple[Pulse, Array]:
     """Return the pulse of a strike on a string at rest; it stops once the contact is proven over.
 
     Parameters
     ----------
-    steps : largest number of steps, a multiple of 32, at most `stored`. It may be traced.
-    stored : steps of the arrays of the pulse.
-    batch : name of the axis of `jax.vmap`. All strokes then stop together, after the longest contact. Without the name
-        each would copy its arrays in every block until then.
+    steps : largest number of steps, a multiple of 32.
+    batch : name of the axis of `jax.vmap`. All strokes stop together, after the longest contact. Otherwise each would
+        copy its arrays in every block until then.
 
     Returns
     -------
-    The pulse [stored], and the number of computed steps; later ones are zero.
+    The pulse [steps], and the number of computed steps; later ones are zero.
     """
     zero = jnp.zeros_like(modes.step)
     at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
-    outputs = (*(jnp.zeros(stored + 1),) * 4, jnp.zeros(stored + 1).at[0].set(hammer.v_H0))
+    outputs = (*(jnp.zeros(steps + 1),) * 4, jnp.zeros(steps + 1).at[0].set(hammer.v_H0))
     count, _, _, outputs, work, over = _until_over(modes, hammer, at_rest, steps, None, outputs, batch)
     drive, force, u, y, v = (x[:-1] for x in outputs)
     return Pulse(drive, force, u, jnp.stack([y, v], axis=-1), work, over), jnp.asarray(count * BLOCK)

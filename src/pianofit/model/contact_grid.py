@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FitError, check_range
-from ..felt import check_hammer, law_of
+from ..felt import law_of
 from ..io.number_format import summary
-from ..parameters import Geometry, String, check
-from .simulate import MAX_STEPS, check_geometry, contact_rate, count_modes
-from .strokes import StrokesConfig, strokes
+from ..parameters import Geometry, String
+from .contact import Pulse
+from .simulate import MAX_STEPS, StrikeConfig, check_stroke, contact_rate, count_modes, endless_contact
+from .strokes import strokes
 
 
 class ContactGrid(NamedTuple):
@@ -65,18 +65,12 @@ def contact_grid(string: String, hammer: Any, geometry: Geometry, *, rate: float
     >>> bool(pianofit.strike(modes, it.hammer, steps=grid.steps).contact_ended)
     True
     """
-    check(dict(zip(String._fields, map(float, string), strict=True)), "string")
-    check_hammer(hammer)
-    check_geometry(geometry, "bridge-force")
-    check_range("rate=", rate, 1e3, 1e6, " Hz")
+    check_stroke(string, hammer, geometry, "bridge-force", rate)
     step_rate = float(contact_rate(string, geometry, rate))
     n_modes = count_modes(string, geometry, step_rate)
     arrays = (np.array([[*map(float, part)]]) for part in (string, hammer, geometry))
-    cfg = StrokesConfig(n_modes, MAX_STEPS, "bridge-force", law_of(hammer))
-    *_, ended, steps = strokes(*arrays, np.float64(step_rate), cfg)
-    if not ended[0]:
-        raise FitError(
-            f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
-            f"{MAX_STEPS / step_rate:.3g} s; use a lighter or faster hammer"
-        )
+    cfg = StrikeConfig(n_modes, MAX_STEPS, "bridge-force", law_of(hammer))
+    _, pulse, _, steps = strokes(*arrays, np.float64(step_rate), cfg)
+    if not Pulse(*pulse).contact_ended[0]:
+        raise endless_contact(hammer, step_rate)
     return ContactGrid(step_rate, n_modes, int(steps[0]))

@@ -26,12 +26,9 @@ class SignalState(NamedTuple):
 
 
 def excite(modes: Modes, hammer: Any, law: Excitation, *, steps: int, free: FreeMotion | None):
-    """Return the pulse of the contact and the free motion of the string, None if it was at rest.
+    """Return the pulse of the contact, and the free motion of the string, None if it was at rest.
 
-    Parameters
-    ----------
-    steps : of the contact. Without a contact, the pulse has one block of zeros.
-    free : motion of the string before it.
+    Without a contact, the pulse has one block of zeros. `free` is the motion of the string before the excitation.
     """
     if law.has_contact:
         return strike(modes, hammer, steps=steps, free=free), free
@@ -43,14 +40,14 @@ def excite(modes: Modes, hammer: Any, law: Excitation, *, steps: int, free: Free
 
 
 def excite_until_over(
-    modes: Modes, hammer: Any, law: Excitation, *, steps: int, batch: str | None = None
+    modes: Modes, hammer: Any, law: Excitation, *, steps: int, batch: str
 ) -> tuple[Pulse, Array, FreeMotion | None]:
     """Return pulse [steps], the number of computed steps, and free motion, for a string at rest.
 
     `batch` is as for `strike_until_over`.
     """
     if law.has_contact:
-        pulse, computed = strike_until_over(modes, hammer, steps=steps, stored=steps, batch=batch)
+        pulse, computed = strike_until_over(modes, hammer, steps=steps, batch=batch)
         return pulse, computed, None
     return no_contact(steps), jnp.asarray(BLOCK), release(modes, hammer, law)
 
@@ -58,8 +55,8 @@ def excite_until_over(
 def signal_state(modes: Modes, hammer: Any, law: Excitation, *, steps: Any) -> SignalState:
     """Return the signal after the excitation of a string at rest."""
     if law.has_contact:
-        final = strike_final_state(modes, hammer, steps=steps)
-        return SignalState(modes.pickup * final.amplitude, final.steps * modes.step, final.separated)
+        amplitude, computed, separated = strike_final_state(modes, hammer, steps=steps)
+        return SignalState(modes.pickup * amplitude, computed * modes.step, separated)
     amplitude = modes.free_pickup * release(modes, hammer, law).amplitude
     return SignalState(amplitude, jnp.zeros_like(modes.step), jnp.asarray(True))
 

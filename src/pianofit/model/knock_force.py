@@ -36,16 +36,12 @@ def add_probes(modes: Modes, f0: Any) -> Modes:
     return Modes(**dict(zip(Modes._fields, [*joined, modes.step], strict=True)))
 
 
-def knock_level(force: Any, f0: Any, strike: Any, xp: Any = jnp) -> Any:
-    """Level of the knock, dB re N² · s [...].
+def knock_level(force: Any, f0: Any, strike: Any) -> Any:
+    """Level of the knock, dB re N² · s [...], for a strike at x0/L = `strike`.
 
-    Parameters
-    ----------
-    force : magnitude of the force's spectrum at the nodes of the band, N s [..., nodes].
-    f0 : Hz.
-    strike : x0/L.
+    `force` is the magnitude of the force's spectrum at the nodes of the band, N s [..., nodes].
     """
     phase = np.pi * nodes()
-    share = xp.sin(phase * strike) / np.sin(phase)
+    share = jnp.sin(phase * strike) / np.sin(phase)
     density = 2 * ((share * force) ** 2).mean(axis=-1)
-    return 10 * xp.log10(xp.maximum(density * (BAND[1] - BAND[0]) * f0, np.finfo(float).tiny))
+    return 10 * jnp.log10(jnp.maximum(density * (BAND[1] - BAND[0]) * f0, np.finfo(float).tiny))

@@ -20,20 +20,20 @@ from ..felt import law_of
 from .free_response import pickup_amplitudes, sounding
 from .note import Note, check_render
 from .program_cache import KEYBOARD_SHAPES, persistent_jit
-from .simulate import MAX_STEPS, Simulation, contact_rate, count_modes
-from .strokes import BATCH, BATCH_SIZE, StrokesConfig, parameter_arrays, simulations, stroke_until_over
+from .simulate import MAX_STEPS, Simulation, StrikeConfig, contact_rate, count_modes
+from .strokes import BATCH, BATCH_SIZE, parameter_arrays, simulations, stroke_until_over
 
 # Stored steps of a first try, and their factor for strokes that last longer. Half of all contacts end within 512 steps.
 FIRST_STORED, LONGER = 1024, 4
 
 
 @partial(persistent_jit, loaded=KEYBOARD_SHAPES)
-def _sounding_strokes(strings, hammers, geometries, rates, cfg: StrokesConfig):
-    """Tables, pulses, computed steps, and both `pickup_amplitudes`, of strokes with their own `rates`, Hz."""
+def _sounding_strokes(strings, hammers, geometries, rates, cfg: StrikeConfig):
+    """As `strokes` with their own `rates`, Hz, and both `pickup_amplitudes`."""
 
     def one(string, hammer, geometry, rate):
         modes, pulse, steps, _ = stroke_until_over(string, hammer, geometry, rate, cfg)
-        return (*modes, *pulse, steps, *pickup_amplitudes(modes, pulse.drive))
+        return (tuple(modes), tuple(pulse), None, steps), pickup_amplitudes(modes, pulse.drive)
 
     return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries, rates)
 
@@ -92,7 +92,7 @@ def render_where_possible(notes: Sequence[Note], seconds: float, rate: int) -> l
     for (rows, quantity, law), remaining in groups.items():
         stored = FIRST_STORED
         while remaining and stored <= MAX_STEPS:
-            cfg = StrokesConfig(rows, stored, quantity, law)
+            cfg = StrikeConfig(rows, stored, quantity, law)
             for at in range(0, len(remaining), BATCH_SIZE):
                 batch = remaining[at : at + BATCH_SIZE]
                 for i, stroke in zip(batch, _strokes([notes[i] for i in batch], rates[batch], cfg), strict=True):
@@ -117,13 +117,13 @@ def _shapes(notes: Sequence[Note], rate: int) -> tuple[np.ndarray, dict[tuple, l
     return rates, groups
 
 
-def _strokes(notes: list[Note], rates: np.ndarray, cfg: StrokesConfig) -> list[tuple[Simulation, Any]]:
+def _strokes(notes: list[Note], rates: np.ndarray, cfg: StrikeConfig) -> list[tuple[Simulation, Any]]:
     """Every stroke with its `pickup_amplitudes`. The batch is filled up with its last note."""
     missing = BATCH_SIZE - len(notes)
     rates = np.append(rates, np.repeat(rates[-1:], missing))
-    leaves = _sounding_strokes(*parameter_arrays([*notes, *notes[-1:] * missing]), rates, cfg)
-    *leaves, unit, amplitude = [np.asarray(x) for x in leaves]
-    return list(zip(simulations(leaves), zip(unit, amplitude, strict=True), strict=True))[: len(notes)]
+    computed = _sounding_strokes(*parameter_arrays([*notes, *notes[-1:] * missing]), rates, cfg)
+    result, amplitudes = jax.tree.map(np.asarray, computed)
+    return list(zip(simulations(result), zip(*amplitudes, strict=True), strict=True))[: len(notes)]
 
 
 def _sound(note: Note, stroke: Simulation, amplitudes: Any, seconds: float, rate: int) -> np.ndarray:

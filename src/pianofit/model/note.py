@@ -313,31 +313,26 @@ jax.tree_util.register_pytree_node(
 @partial(jax.jit, static_argnums=(3, 4))
 def _levels(note, values, rate, rows, steps):
     """Levels of all modes [strokes, modes], dB in the unit of the pickup, and of the knock [strokes], dB."""
-    f0 = note.string.c / (2 * note.geometry.length)
-    zeta = -2j * jnp.pi * f0 * nodes() / rate
+    zeta = -2j * jnp.pi * note.f0 * nodes() / rate
 
     def level_at(value):
         own = note.with_stroke(value)
         modes = mode_table(own.string, own.geometry, rate=rate, n_modes=rows, quantity=own.quantity)
         pulse, free = excite(modes, own.hammer, law_of(own.hammer), steps=steps, free=None)
-        delay = _arrival(own.string, own.geometry, own.quantity)
+        delay = arrival(own.string, own.geometry, own.quantity, jnp)
         amplitude = modal_amplitudes(modes, pulse.drive, free) * jnp.exp(modes.pole.real * delay)
         force = jnp.abs(z_transform(pulse.force, zeta)) / rate
-        knock = knock_level(force, f0, own.geometry.strike_position / own.geometry.length)
+        knock = knock_level(force, note.f0, own.geometry.strike_position / own.geometry.length)
         over = pulse.compression[-1] <= 0
         return jnp.where(over, level_db(amplitude, -modes.pole.real), jnp.inf), jnp.where(over, knock, jnp.inf)
 
     return jax.vmap(level_at)(values)
 
 
-def _arrival(string, geometry, quantity, xp=jnp):
+def arrival(string: String, geometry: Geometry, quantity: str, xp: Any = np) -> Any:
+    """Arrival time of the wave from the nearest edge of the contact window at the pickup, s after first contact."""
     end = geometry.pickup if TRANSDUCERS[quantity].on_string else geometry.length
     return xp.maximum(xp.abs(end - geometry.strike_position) - geometry.width / 2, 0.0) / string.c
-
-
-def arrival(string: String, geometry: Geometry, quantity: str) -> float:
-    """Arrival time of the wave from the nearest edge of the contact window at the pickup, s after first contact."""
-    return float(_arrival(string, geometry, quantity, np))
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

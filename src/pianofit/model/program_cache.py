@@ -40,8 +40,9 @@ def persistent_jit(function: Callable, loaded: int = MAX_LOADED) -> Callable:
     """Jit `function(*arrays, cfg)`, static in `cfg`, and keep the programs of the last `loaded` shapes.
 
     Arguments are trees of arrays, of float64 or integers. `cfg` is hashable and its `repr` determines its value. The
-    result is a tuple of arrays. Traced programs are also stored in the folder of JAX, if it is set. Programs with a
-    user's felt law are not stored, since its code may change between runs. Inside transformations this is `jax.jit`.
+    result is a tuple of arrays, None and such tuples. Traced programs are also stored in the folder of JAX, if it is
+    set. Programs with a user's felt law are not stored, since its code may change between runs. Inside transformations
+    this is `jax.jit`.
     """
     jitted = jax.jit(function, static_argnums=-1)
     lock = threading.Lock()  # threads that need the same program compile it once

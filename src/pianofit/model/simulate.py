@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -39,11 +41,6 @@ class Contact(NamedTuple):
     start: float  # s from the first touch
     stop: float  # s from the first touch
     force: float  # largest force, N
-
-    def document(self) -> dict[str, float]:
-        """Start and duration, ms, and force, N, as `fit.json` holds them."""
-        duration = self.stop - self.start
-        return {"start_ms": 1e3 * self.start, "duration_ms": 1e3 * duration, "max_force_N": self.force}
 
 
 class Simulation(NamedTuple):
@@ -105,10 +102,7 @@ class Simulation(NamedTuple):
 def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
     """Return a whole multiple of `rate`, Hz, at which the table holds enough modes of this string.
 
-    Raises
-    ------
-    ParameterError
-        If the string is so short or stiff that the rate would exceed 6 MHz.
+    Raises `ParameterError` if the string is so short or stiff that the rate would exceed 6 MHz.
     """
     n = MAX_MODES
     frequencies = mode_frequencies(string, geometry.length, n)
@@ -130,32 +124,29 @@ def count_modes(string: String, geometry: Geometry, rate: float) -> int:
     return min(MAX_MODES, 64 * int(np.ceil(below / 64)))
 
 
-class _StrikeConfig(NamedTuple):
-    """Static arguments of `_strike`."""
+class StrikeConfig(NamedTuple):
+    """Static arguments of the programs that strike."""
 
     n_modes: int
-    steps: int
+    steps: int  # of the contact, or of its stored pulse
     quantity: str
-    kind: str
     law: Excitation
+    kind: str = "continuous"
 
 
 @partial(persistent_jit, loaded=KEYBOARD_SHAPES)
-def _strike(string, hammer, geometry, rate, weights, start, cfg: _StrikeConfig):
-    """The table, the pulse, and the free motion before it, as one tuple of arrays."""
+def _strike(string, hammer, geometry, rate, weights, start, cfg: StrikeConfig):
+    """The table, the pulse, and the free motion before it, each as a tuple of arrays."""
     table = {"rate": rate, "n_modes": cfg.n_modes, "quantity": cfg.quantity, "kind": cfg.kind}
     modes = mode_table(String(*string), Geometry(*geometry), strike_weights=weights, **table)
     free = None if start is None else free_motion(modes, *start)
     pulse, free = excite(modes, cfg.law.hammer_type(*hammer), cfg.law, steps=cfg.steps, free=free)
-    return (*modes, *pulse, *(() if free is None else free))
+    return tuple(modes), tuple(pulse), None if free is None else tuple(free)
 
 
-def _simulation(arrays: Any) -> Simulation:
-    """The result of `_strike` as a `Simulation`."""
-    parts = [np.asarray(x) for x in arrays]
-    table, pulse = len(Modes._fields), len(Modes._fields) + len(Pulse._fields)
-    free: Any = parts[pulse:]
-    return Simulation(Modes(*parts[:table]), Pulse(*parts[table:pulse]), FreeMotion(*free) if free else None)  # pyright: ignore[reportArgumentType]
+def simulation_of(modes: Sequence, pulse: Sequence, free: Sequence | None) -> Simulation:
+    """Return the stroke with these arrays of a program, which returns plain tuples."""
+    return Simulation(Modes(*modes), Pulse(*pulse), None if free is None else FreeMotion(*free))
 
 
 @float64
@@ -205,10 +196,7 @@ def simulate(
     >>> f"{1e3 * strike.contact_time:.1f} ms", strike.waveform(44_100, 1000).shape
     ('2.4 ms', (1000,))
     """
-    check(dict(zip(String._fields, map(float, string), strict=True)), "string")
-    check_hammer(hammer)
-    check_geometry(geometry, quantity)
-    check_range("rate=", rate, 1e3, 1e6, " Hz")
+    check_stroke(string, hammer, geometry, quantity, rate)
     if kind == "finite_difference" and strike_weights is None and n_modes:
         points, width = np.arange(1, n_modes + 1) * (float(geometry.length) / (n_modes + 1)), float(geometry.width)
         if np.abs(points - float(geometry.strike_position)).min() >= width / 2:
@@ -222,15 +210,29 @@ def simulate(
         start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
     steps = FIRST_STEPS
     while steps <= MAX_STEPS:
-        cfg = _StrikeConfig(rows, steps, quantity, kind, law_of(hammer))
-        done = _simulation(_strike(*values, step_rate, strike_weights, start, cfg))
+        cfg = StrikeConfig(rows, steps, quantity, law_of(hammer), kind)
+        parts = _strike(*values, step_rate, strike_weights, start, cfg)
+        done = simulation_of(*jax.tree.map(np.asarray, parts))
         if done.pulse.contact_ended:
             return done
         steps *= 4
-    raise FitError(
+    raise endless_contact(hammer, step_rate)
+
+
+def endless_contact(hammer: Any, step_rate: float) -> FitError:
+    """Return the error of a contact that does not end within `MAX_STEPS` steps."""
+    return FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
         f"{MAX_STEPS / step_rate:.3g} s; use a lighter or faster hammer"
     )
+
+
+def check_stroke(string: String, hammer: Any, geometry: Geometry, quantity: str, rate: float) -> None:
+    """Raise a `ParameterError` for a stroke, or a sample rate in Hz, that cannot be simulated."""
+    check(dict(zip(String._fields, map(float, string), strict=True)), "string")
+    check_hammer(hammer)
+    check_geometry(geometry, quantity)
+    check_range("rate=", rate, 1e3, 1e6, " Hz")
 
 
 def check_geometry(geometry: Geometry, quantity: str) -> None:

@@ -7,12 +7,11 @@ contact is proven over.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
-from ..excitation import Excitation
 from ..felt import law_of
 from ..parameters import Geometry, String
 from .contact import Pulse
@@ -22,7 +21,7 @@ from .free_motion import FreeMotion
 from .modes import Modes, mode_table
 from .note import Note
 from .program_cache import persistent_jit
-from .simulate import Simulation
+from .simulate import Simulation, StrikeConfig, simulation_of
 
 # Strokes of one call. Larger batches wait for their longest contact.
 BATCH_SIZE = 16
@@ -32,34 +31,22 @@ BATCH = "strokes"
 MARGIN, STEPS = 2.0, 1024
 
 
-class StrokesConfig(NamedTuple):
-    """Static arguments of `strokes`."""
-
-    n_modes: int
-    steps: int  # stored
-    quantity: str
-    law: Excitation
-
-
 @persistent_jit
-def strokes(strings, hammers, geometries, rate, cfg: StrokesConfig):
-    """Leaves of the tables of modes and of the pulses [strokes, ...], and computed steps [strokes].
+def strokes(strings, hammers, geometries, rate, cfg: StrikeConfig):
+    """Tables of modes, pulses and free motions as tuples of arrays [strokes, ...], and computed steps [strokes].
 
-    Parameters
-    ----------
-    strings, hammers, geometries : fields in their order [strokes, fields].
-    rate : of the contact, Hz.
+    The arguments are fields in their order [strokes, fields], and the contact rate in Hz.
     """
 
     def one(string, hammer, geometry):
         modes, pulse, steps, free = stroke_until_over(string, hammer, geometry, rate, cfg)
-        return (*modes, *pulse, *(free or ()), steps)
+        return tuple(modes), tuple(pulse), None if free is None else tuple(free), steps
 
     return jax.vmap(one, axis_name=BATCH)(strings, hammers, geometries)
 
 
 def stroke_until_over(
-    string, hammer, geometry, rate, cfg: StrokesConfig
+    string, hammer, geometry, rate, cfg: StrikeConfig
 ) -> tuple[Modes, Pulse, jax.Array, FreeMotion | None]:
     """Table of modes, pulse, number of computed steps and free motion of one stroke of a batch.
 
@@ -72,16 +59,14 @@ def stroke_until_over(
     return modes, pulse, steps, free
 
 
-def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrokesConfig]:
+def strokes_arguments(notes: Sequence[Note], first: Simulation) -> tuple[tuple[np.ndarray, ...], Any, StrikeConfig]:
     """Return arguments of `strokes` for notes that differ only in their parameters: arrays, rate, configuration.
 
-    Parameters
-    ----------
-    first : stroke of one of the notes.
+    `first` is the stroke of one of the notes.
     """
     modes, step = len(first.modes.pole), float(first.modes.step)
     steps = STEPS * max(int(np.ceil(MARGIN * first.last_touch / step / STEPS)), 1)
-    cfg = StrokesConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
+    cfg = StrikeConfig(modes, steps, notes[0].quantity, law_of(notes[0].hammer))
     return parameter_arrays(notes), np.float64(1 / step), cfg
 
 
@@ -91,19 +76,15 @@ def parameter_arrays(notes: Sequence[Note]) -> tuple[np.ndarray, ...]:
     return tuple(np.array([[*map(float, getattr(note, part))] for note in notes]) for part in parts)
 
 
-def simulations(leaves: Sequence[np.ndarray]) -> list[Simulation]:
+def simulations(result: tuple) -> list[Simulation]:
     """Return every stroke from the result of `strokes`. The pulse of an unfinished contact says so."""
-    *arrays, steps = leaves
-    drive = arrays[len(Modes._fields)]
+    modes, pulses, free, steps = result
+    drive = pulses[0]
     pressed = drive.shape[1] - np.argmax(drive[:, ::-1] != 0, axis=1)
     steps = np.minimum(steps, BLOCK * (pressed // BLOCK + 1))
-    tables, rest = arrays[: len(Modes._fields)], arrays[len(Modes._fields) :]
-    pulses, motions = rest[: len(Pulse._fields)], rest[len(Pulse._fields) :]
 
     def one(i: int) -> Simulation:
-        table: Any = (x[i] for x in tables)
-        pulse: Any = (x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses)
-        free = FreeMotion(*(x[i] for x in motions)) if motions else None
-        return Simulation(Modes(*table), Pulse(*pulse), free)
+        table, motion = jax.tree.map(lambda x: x[i], (modes, free))
+        return simulation_of(table, [x[i, : steps[i]] if x.ndim > 1 else x[i] for x in pulses], motion)
 
     return [one(i) for i in range(len(steps))]

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import FitError, ParameterError
 from ..excitation import HAMMER, OTHERS, Excitation
-from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer, make_hammer
+from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer
 from ..io.files import printable, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
@@ -150,7 +150,7 @@ def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: Excitation) 
 def _string_and_hammer(values: Mapping[str, float], where: str, law: Excitation) -> tuple[String, Any]:
     """Return string and hammer with `values`, checked against their ranges."""
     try:
-        hammer = make_hammer(values, where, law)
+        hammer = law.make_hammer(values)
         check_hammer(hammer, where)
         return String(**check({name: values[name] for name in STRING_NAMES}, where)), hammer
     except ParameterError as error:

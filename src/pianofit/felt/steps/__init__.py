@@ -11,28 +11,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ...x64 import float64
 from .. import FeltLaw, law_of
 from . import any_law, relaxing
 from .relaxing import memory_weights, update_relaxation
 
-__all__ = ["compression", "felt_force", "force", "memory_weights", "static_force", "update_relaxation"]
+__all__ = ["compression", "force", "memory_weights", "static_force", "update_relaxation"]
 
 
 def _solver(hammer: Any) -> Any:
     """Return the module with `felt_force`, `root` and `residual` for the law of a hammer."""
     return any_law if law_of(hammer).hammers is None else relaxing
-
-
-@float64
-def felt_force(u: Array | float, w: Array | float, hammer: Any, memory: Any = 0.0, share: Any = 0.0) -> Array:
-    """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
-
-    For a relaxing felt, c is `memory`, m^p, plus `share` times u^p; see `relaxing`.
-    """
-    return _solver(hammer).felt_force(jnp.asarray(u), jnp.asarray(w), hammer, memory, share)
 
 
 def compression(e, u_old, w_old, f_old, c, a, hammer: Any, weights=None, memory: Any = None):

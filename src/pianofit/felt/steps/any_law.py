@@ -78,13 +78,7 @@ def _root_jvp(rest, tangents):
 
 @float64
 def check_passive(hammer: Any) -> None:
-    """Reject a hammer whose felt returns more energy than the storage function of its law allows.
-
-    Raises
-    ------
-    ParameterError
-        The message names the law and a point where this happens.
-    """
+    """Reject a hammer whose felt returns more energy than the storage function of its law allows."""
     u, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(TESTED_U, TESTED_W))
     stored = jax.vmap(jax.grad(lambda x: jnp.asarray(hammer.law.storage(x, hammer), float)))(u)
     push = felt_force(u, w, hammer)

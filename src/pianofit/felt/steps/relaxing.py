@@ -56,7 +56,10 @@ def _softness(u: Any, hammer: Any) -> Any:
 
 
 def felt_force(u: Array, w: Array, hammer: Hammer | SoftHammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
-    """Felt force, N; for a relaxing felt, c is `memory`, m^p, plus `share` times g^p."""
+    """Felt force, N (paper eq. 8, with u = y_H - y_s).
+
+    For a relaxing felt, c is `memory`, m^p, plus `share` times g^p.
+    """
     power = _base(jnp.where(u > 0, u, 1.0), hammer) ** hammer.p
     if not isinstance(hammer, RelaxingHammer):
         return jnp.where(u > 0, hammer.K_H * power * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
