@@ -126,7 +126,10 @@ def batch(
     """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
         count = process_count(processes)
-        _check(memory, time_limit, seed, channel)
+        check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
+        check_range("time_limit=", time_limit, 1, 1e6, " s")
+        check_seed(seed)
+        check_channel(channel)
         from ..batch import (
             check_cluster,
             layout_remarks,
@@ -165,13 +168,6 @@ def status(
 
     result = run(folder)
     print_result(asdict(result), _summary(result), as_json)
-
-
-def _check(memory: float, time_limit: float, seed: int, channel: str) -> None:
-    check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
-    check_range("time_limit=", time_limit, 1, 1e6, " s")
-    check_seed(seed)
-    check_channel(channel)
 
 
 def _settings(

@@ -34,13 +34,7 @@ def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
 
 
 def number_range(text: str) -> tuple[float, float]:
-    """Return the ends of a range of numbers, such as 40-70.
-
-    Raises
-    ------
-    ValueError
-        If the text is not two numbers with a hyphen between them.
-    """
+    """Return the ends of a range of numbers, such as 40-70."""
     low, _, high = text.partition("-")
     return float(low), float(high)
 
