@@ -10,7 +10,7 @@ from ..errors import ParameterError
 from ..io.files import cleanup_on_interrupt, printable
 from ..io.number_format import counted
 from . import options
-from .options import choice, flag, integer, one_or_range, parse_as, parsed, process_count, real, text
+from .options import choice, flag, integer, one_or_range, parse_as, process_count, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
@@ -35,12 +35,12 @@ def dataset(
     ] = False,
     noise_db: Annotated[
         Any,
-        parsed(
+        text(
             "DB|LOW-HIGH",
             "White noise, dB below the rms of the loudest layer, such as 60, or random in a range such as 40-70.",
-            parse_as(one_or_range, "a number of dB, such as 60, or a range, such as 40-70"),
             "--noise",
             default="none",
+            parser=parse_as(one_or_range, "a number of dB, such as 60, or a range, such as 40-70"),
         ),
     ] = None,
     modal_response: Annotated[

@@ -20,7 +20,7 @@ from ..io.files import (
 from ..io.number_format import counted
 from ..progress import progress_bar
 from . import options
-from .options import flag, integer, number_range, parse_as, parsed, real, text
+from .options import flag, integer, number_range, parse_as, real, text
 from .terminal import print_result
 
 PAGE = "piano.html"
@@ -66,10 +66,10 @@ def play(
     touch: Annotated[float, real("EXPONENT", "Exponent of the MIDI velocities: below 1 louder, above 1 softer.")] = 1.0,
     pedal_range: Annotated[
         Any,
-        parsed(
+        text(
             "LOW-HIGH",
             "Half pedal: values of controller 64 at which dampers begin to lift, and are up.",
-            parse_as(number_range, "two values of controller 64, such as 24-64"),
+            parser=parse_as(number_range, "two values of controller 64, such as 24-64"),
         ),
     ] = "24-64",
     resonance: Annotated[
