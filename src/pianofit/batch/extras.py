@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def measure_extras(
             recording = load_recording(file, channel=channel)
             if role == "damped":
                 fit = fit_damper(recording, note)
-                values = vars(fit) | {"covariance": tuple(map(tuple, fit.covariance.tolist()))}
+                values: dict[str, Any] = vars(fit) | {"covariance": tuple(map(tuple, fit.covariance.tolist()))}
                 dampers.append(DamperEntry(file=paths[str(file)], sha256=recording.sha256, **values))
             if role == "release":
                 releases.append(SoundEntry.of(release_sound(recording), recording.rate, paths[str(file)]))
