@@ -111,7 +111,7 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
         (
             lambda: strike_string(
                 string_tables(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
-                AGAIN.hammer(**GOOD), np.zeros(64), "C4",
+                AGAIN.hammer(**GOOD), "C4",
             ),
             "C4: felt law Again",
         ),

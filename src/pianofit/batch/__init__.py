@@ -1,15 +1,15 @@
 """Fits of a whole sample library: a manifest, one job for each key, and workers on this machine or on a cluster."""
 
 from .dask_pool import DaskPool, check_cluster
-from .job import Job, Settings, UnusedFile, layout_remarks, make_job, unused_files
+from .job import Job, Settings, layout_remarks, make_job, unused_files
 from .manifest import Key, Sample, read_keys
 from .process_pool import ProcessPool
-from .records import Entry, Status, status
+from .records import Status, status
 from .run import Progress, plan_jobs, run_batch
 from .second_pass import plan_joint_jobs, run_joint_batch
 
 __all__ = ["Key", "Sample", "read_keys"]
-__all__ += ["Settings", "Job", "make_job", "layout_remarks", "UnusedFile", "unused_files"]
+__all__ += ["Settings", "Job", "make_job", "layout_remarks", "unused_files"]
 __all__ += [
     "ProcessPool",
     "DaskPool",
@@ -20,4 +20,4 @@ __all__ += [
     "plan_joint_jobs",
     "run_joint_batch",
 ]
-__all__ += ["Entry", "Status", "status"]
+__all__ += ["Status", "status"]

@@ -22,7 +22,7 @@ from .. import __version__
 from ..errors import RecordingError
 from ..io.audio import layout_of
 from ..io.containers import is_sound, readable_formats
-from ..io.files import printable, read_file
+from ..io.files import code_digest, printable, read_file
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES
 from .library_files import files_in, first_of
@@ -119,11 +119,8 @@ def _hash(value: object) -> str:
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of the program, its code, and its numerical libraries."""
-    code = hashlib.sha256()
-    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
-        code.update(file.read_bytes())
     libraries = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
-    return {"pianofit": __version__, "code": code.hexdigest()[:16], **libraries}
+    return {"pianofit": __version__, "code": code_digest()[:16], **libraries}
 
 
 def make_job(key: Key, settings: Settings) -> Job:

@@ -33,22 +33,12 @@ def run_joint_batch(
     retry_failed: bool = False,
     tell: Callable[[Progress], None] = lambda _: None,
 ) -> Status:
-    """Fit all keys alone, then each again with the prior that the other keys of its instrument give.
-
-    Parameters
-    ----------
-    jobs, folder, workers, retry_failed, tell : as of `run_batch`.
-
-    Returns
-    -------
-    The state of every key.
+    """Fit all keys alone, then each again with the prior that the other keys of its instrument give; see `run_batch`.
 
     Raises
     ------
     SetupError
         If no instrument of the library has two keys.
-    OutputError
-        As `run_batch`.
     FitError
         If the fits cannot be those of one instrument, such as fits of a relaxing felt.
     """

@@ -24,23 +24,9 @@ from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.measurements import check_channel
 from ..setup import SETUP_KEYS, Setup
+from . import options
 from .fits import setup_of_options
-from .options import (
-    Channel,
-    DryRun,
-    Excitation,
-    Felt,
-    Json,
-    Processes,
-    Quantity,
-    Seed,
-    choice,
-    flag,
-    integer,
-    process_count,
-    real,
-    text,
-)
+from .options import choice, flag, integer, process_count, real, text
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -93,13 +79,13 @@ def batch(
     ] = None,
     transpose: Annotated[int, integer("N", "Semitones added to every note name, such as 12 or -12.")] = 0,
     setup: Annotated[Path | None, text("SETUP.TOML", "Setup for all keys, without [[recording]].")] = None,
-    felt: Felt = None,
-    excitation: Excitation = None,
-    quantity: Quantity = None,
-    channel: Channel = "average",
-    seed: Seed = 0,
+    felt: options.Felt = None,
+    excitation: options.Excitation = None,
+    quantity: options.Quantity = None,
+    channel: options.Channel = "average",
+    seed: options.Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
-    processes: Processes = None,
+    processes: options.Processes = None,
     memory: Annotated[float, real("GIB", "Memory limit of each process in GiB (Linux).")] = 4.0,
     time_limit: Annotated[float, real("S", "Time limit for each key in seconds.")] = 3600.0,
     scheduler: Annotated[str | None, text("ADDRESS", "Use a dask.distributed scheduler, tcp://HOST:PORT.")] = None,
@@ -120,13 +106,16 @@ def batch(
         ),
     ] = False,
     retry_failed: Annotated[bool, flag("--retry-failed", "Fit keys again that failed before.")] = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
 ) -> None:
     """Fit every key of a sample library. The same command continues an interrupted batch."""
     with _resumable():
         count = process_count(processes)
-        _check(memory, time_limit, seed, channel)
+        check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
+        check_range("time_limit=", time_limit, 1, 1e6, " s")
+        check_seed(seed)
+        check_channel(channel)
         from ..batch import (
             check_cluster,
             layout_remarks,
@@ -158,20 +147,13 @@ def batch(
 
 
 def status(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a batch.")], as_json: Json = False
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a batch.")], as_json: options.Json = False
 ) -> None:
     """Show the progress of a batch and why keys failed, also while it is running."""
     from ..batch import status as run
 
     result = run(folder)
     print_result(asdict(result), _summary(result), as_json)
-
-
-def _check(memory: float, time_limit: float, seed: int, channel: str) -> None:
-    check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
-    check_range("time_limit=", time_limit, 1, 1e6, " s")
-    check_seed(seed)
-    check_channel(channel)
 
 
 def _settings(

@@ -9,22 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 from ..errors import ParameterError
 from ..io.files import cleanup_on_interrupt, printable
 from ..io.number_format import counted
-from .options import (
-    RATE,
-    Json,
-    Processes,
-    Seconds,
-    Seed,
-    choice,
-    flag,
-    integer,
-    one_or_range,
-    parse_as,
-    parsed,
-    process_count,
-    real,
-    text,
-)
+from . import options
+from .options import choice, flag, integer, one_or_range, parse_as, process_count, real, text
 from .terminal import print_result
 
 if TYPE_CHECKING:
@@ -34,10 +20,10 @@ if TYPE_CHECKING:
 def dataset(
     out: Annotated[Path, text("DIR", "Folder of the data set. The same command again continues it.")],
     count: Annotated[int, integer("N", "Number of notes.")] = 1000,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     keys: Annotated[str | None, text("LOW-HIGH", "Range of keys, such as C2-C6.", default="all")] = None,
-    seconds: Seconds = 1.0,
-    rate: Annotated[int, RATE] = 44_100,
+    seconds: options.Seconds = 1.0,
+    rate: Annotated[int, options.RATE] = 44_100,
     layers: Annotated[int, integer("N", "Velocities at which every note is rendered.")] = 1,
     around: Annotated[
         Path | None,
@@ -49,12 +35,12 @@ def dataset(
     ] = False,
     noise_db: Annotated[
         Any,
-        parsed(
+        text(
             "DB|LOW-HIGH",
             "White noise, dB below the rms of the loudest layer, such as 60, or random in a range such as 40-70.",
-            parse_as(one_or_range, "a number of dB, such as 60, or a range, such as 40-70"),
             "--noise",
             default="none",
+            parser=parse_as(one_or_range, "a number of dB, such as 60, or a range, such as 40-70"),
         ),
     ] = None,
     modal_response: Annotated[
@@ -63,8 +49,8 @@ def dataset(
     format: Annotated[  # noqa: A002
         str, choice("FORMAT", "Format of the sounds", ("flac", "wav", "npz"), "--sample-format")
     ] = "flac",
-    processes: Processes = None,
-    as_json: Json = False,
+    processes: options.Processes = None,
+    as_json: options.Json = False,
 ) -> None:
     """Write labelled synthetic notes: sounds and one table of parameters."""
     from ..dataset import NoteOptions, write_dataset

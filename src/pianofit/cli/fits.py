@@ -172,13 +172,7 @@ def _check_method(method: str, evaluations: int | None, intervals: str, recordin
 def setup_of_options(
     path: Path | None, felt: str | None, excitation: str | None, quantity: str | None, pickup: float | None
 ) -> Setup:
-    """Load the setup, with the values of the command line.
-
-    Raises
-    ------
-    SetupError
-        If the file and the command line contradict each other, or a value is invalid.
-    """
+    """Load the setup, with the values of the command line, which must not contradict it."""
     options = {"excitation": excitation, "pickup_quantity": quantity, "pickup_position": pickup}
     given = {name: value for name, value in options.items() if value is not None}
     if path is None:

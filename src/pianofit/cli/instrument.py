@@ -19,21 +19,8 @@ from ..io.files import (
 )
 from ..io.number_format import counted
 from ..progress import progress_bar
-from .options import (
-    RATE,
-    Built,
-    Even,
-    Force,
-    Json,
-    Prefix,
-    flag,
-    integer,
-    number_range,
-    parse_as,
-    parsed,
-    real,
-    text,
-)
+from . import options
+from .options import flag, integer, number_range, parse_as, real, text
 from .terminal import print_result
 
 PAGE = "piano.html"
@@ -44,14 +31,14 @@ def instrument(
         list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="The folder of a batch, or single fits.")
     ],
     out: Annotated[Path, text("DIR", "Folder for instrument.json and instrument.html.")],
-    prefix: Prefix = None,
-    even: Even = 0.0,
+    prefix: options.Prefix = None,
+    even: options.Even = 0.0,
     name: Annotated[
         str | None, text("NAME", "Name of the instrument.", default="that of --prefix, or of the folder")
     ] = None,
     page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
-    force: Force = False,
-    as_json: Json = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Build an instrument from fits of single keys, with smooth keyboard laws for the other keys."""
     from ..instrument import write_instrument
@@ -68,21 +55,21 @@ def instrument(
 
 
 def play(
-    built: Built,
+    built: options.Built,
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
     out: Annotated[Path, text("FILE", "Sound file to write, .wav or .flac.")],
-    prefix: Prefix = None,
-    even: Even = 0.0,
-    rate: Annotated[int, RATE] = 48_000,
+    prefix: options.Prefix = None,
+    even: options.Even = 0.0,
+    rate: Annotated[int, options.RATE] = 48_000,
     gain_db: Annotated[float, real("DB", "Gain before the limiter, dB.", "--gain")] = 0.0,
     tempo: Annotated[float, real("FACTOR", "Speed, relative to that of the file.")] = 1.0,
     touch: Annotated[float, real("EXPONENT", "Exponent of the MIDI velocities: below 1 louder, above 1 softer.")] = 1.0,
     pedal_range: Annotated[
         Any,
-        parsed(
+        text(
             "LOW-HIGH",
             "Half pedal: values of controller 64 at which dampers begin to lift, and are up.",
-            parse_as(number_range, "two values of controller 64, such as 24-64"),
+            parser=parse_as(number_range, "two values of controller 64, such as 24-64"),
         ),
     ] = "24-64",
     resonance: Annotated[
@@ -90,8 +77,8 @@ def play(
     ] = 0.3,
     noise: Annotated[bool, flag("--noise-floor", "Add the noise floor of the recordings.")] = False,
     seed: Annotated[int, integer("N", "Seed of the noise floor.")] = 0,
-    force: Force = False,
-    as_json: Json = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument, with all three pedals."""
     from ..instrument import load_instrument
@@ -138,17 +125,17 @@ def _play_summary(out: Path, info: dict[str, Any]) -> str:
 
 
 def page(
-    built: Built,
+    built: options.Built,
     out: Annotated[
         Path | None, text("FILE.HTML", "HTML file to write.", default=f"{PAGE} next to the instrument")
     ] = None,
-    prefix: Prefix = None,
-    even: Even = 0.0,
+    prefix: options.Prefix = None,
+    even: options.Even = 0.0,
     recordings: Annotated[
         bool, flag("--recordings", "Include the recordings in the page, to compare them with the keys.")
     ] = False,
-    force: Force = False,
-    as_json: Json = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file that needs no server and no network.
 

@@ -34,13 +34,7 @@ def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
 
 
 def number_range(text: str) -> tuple[float, float]:
-    """Return the ends of a range of numbers, such as 40-70.
-
-    Raises
-    ------
-    ValueError
-        If the text is not two numbers with a hyphen between them.
-    """
+    """Return the ends of a range of numbers, such as 40-70."""
     low, _, high = text.partition("-")
     return float(low), float(high)
 
@@ -53,24 +47,22 @@ def one_or_range(text: str) -> float | tuple[float, float]:
 number, whole = parse_as(float, "a number"), parse_as(int, "a whole number")
 
 
-def text(metavar: str, words: str, *names: str, default: str = "") -> Any:
-    """Return an option for a text or a path, with its help `words`; `default` says what its absence means."""
-    return typer.Option(*names, metavar=metavar, help=words, show_default=default or True)
+def text(metavar: str, words: str, *names: str, default: str = "", parser: Callable[[str], Any] | None = None) -> Any:
+    """Return an option for a text, parsed if there is a `parser`, or for a path.
 
-
-def parsed(metavar: str, words: str, parser: Callable[[str], Any], *names: str, default: str = "") -> Any:
-    """Return an option whose text is parsed."""
+    The `words` are its help, and `default` says what its absence means.
+    """
     return typer.Option(*names, parser=parser, metavar=metavar, help=words, show_default=default or True)
 
 
 def real(metavar: str, words: str, *names: str, default: str = "") -> Any:
     """Return an option for a number."""
-    return parsed(metavar, words, number, *names, default=default)
+    return text(metavar, words, *names, default=default, parser=number)
 
 
 def integer(metavar: str, words: str, *names: str, default: str = "") -> Any:
     """Return an option for a whole number."""
-    return parsed(metavar, words, whole, *names, default=default)
+    return text(metavar, words, *names, default=default, parser=whole)
 
 
 def choice(metavar: str, words: str, choices: tuple[str, ...], *names: str, default: str = "") -> Any:
@@ -82,7 +74,7 @@ def choice(metavar: str, words: str, choices: tuple[str, ...], *names: str, defa
             raise ValueError
         return text
 
-    return parsed(metavar, f"{words}: {listed}.", parse_as(member, listed), *names, default=default)
+    return text(metavar, f"{words}: {listed}.", *names, default=default, parser=parse_as(member, listed))
 
 
 def flag(name: str, words: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -38,10 +39,9 @@ def tuning(
     from ..tuner.tuning import tuning as measure
 
     options = {"prefix": prefix, "a4": a4, "octave": cast("OctaveType", octave)}
-    if out is None:
-        found, written = measure(paths, **options), ""
-    else:
-        with output_folder(out, force) as folder:
-            found, written = measure(paths, **options), f"written to {out}\n"
+    with nullcontext() if out is None else output_folder(out, force) as folder:
+        found = measure(paths, **options)
+        if folder is not None:
             write_tuning(folder, found)
+    written = "" if out is None else f"written to {out}\n"
     print_result(found, tuning_summary(found) + written, as_json)

@@ -14,7 +14,6 @@ is that of its damper times the value of its knob.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 from ..conversions import T60_NEPERS
@@ -31,15 +30,6 @@ LONGEST_ATTACK, RELEASES = 2.0, (0.25, 4.0)
 TONES = ((0.0, 340.0), (0.25, 960.0), (0.5, 2_700.0), (0.75, 7_700.0), (1.0, 22_000.0))
 
 
-class _Group(NamedTuple):
-    """One sample of a key, and the pedals at which it sounds."""
-
-    key: SampledKey
-    sample: Sample
-    pedals: dict[str, str]
-    table: bool  # whether the volume follows the velocity
-
-
 def dspreset_text(content: SamplerContent) -> str:
     """Return the text of a preset."""
     root = ElementTree.Element("DecentSampler", minVersion=VERSION)
@@ -48,16 +38,16 @@ def dspreset_text(content: SamplerContent) -> str:
     groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
     modulators = ElementTree.SubElement(root, "modulators")
     velocity = ElementTree.SubElement(modulators, "midiVelocity", scope="voice", modAmount="1.0")
-    for i, group in enumerate(group for key in content.keys for group in _groups(key, content.blend)):
-        _add_group(groups, group)
-        if group.key.damper:
-            low, high = (f"{x * _release(group.key):.4f}" for x in RELEASES)
+    for i, (key, sample, pedals, follows_velocity) in enumerate(_samples(content)):
+        _add_group(groups, key, sample, pedals)
+        if key.damper:
+            low, high = (f"{x * _release(key):.4f}" for x in RELEASES)
             binding = {"type": "amp", "level": "group", "groupIndex": str(i), "parameter": "ENV_RELEASE"}
             binding |= {"translation": "linear", "translationOutputMin": low, "translationOutputMax": high}
             ElementTree.SubElement(knobs["Release"], "binding", binding)
-        if group.table:
+        if follows_velocity:
             binding = {"type": "amp", "level": "group", "groupIndex": str(i), "parameter": "AMP_VOLUME"}
-            binding |= {"modBehavior": "set", "translation": "table", "translationTable": _table(group.sample.zone)}
+            binding |= {"modBehavior": "set", "translation": "table", "translationTable": _table(sample.zone)}
             ElementTree.SubElement(velocity, "binding", binding)
     if content.releases:
         _add_releases(groups, content)
@@ -65,14 +55,16 @@ def dspreset_text(content: SamplerContent) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _groups(key: SampledKey, blend: str) -> Iterator[_Group]:
-    table = blend == "curves"
-    for sample in key.strokes:
-        yield _Group(key, sample, _range(67, 0, SWITCH - 1) if key.soft else {}, table)
-    for sample in key.soft:
-        yield _Group(key, sample, _range(67, SWITCH, LOUDEST), table)
-    if key.resonance:
-        yield _Group(key, key.resonance, _range(64, SWITCH, LOUDEST), True)
+def _samples(content: SamplerContent) -> Iterator[tuple[SampledKey, Sample, dict[str, str], bool]]:
+    """All samples, each with its key, the pedals at which it sounds, and whether its volume follows the velocity."""
+    curves = content.blend == "curves"
+    for key in content.keys:
+        for sample in key.strokes:
+            yield key, sample, _range(67, 0, SWITCH - 1) if key.soft else {}, curves
+        for sample in key.soft:
+            yield key, sample, _range(67, SWITCH, LOUDEST), curves
+        if key.resonance:
+            yield key, key.resonance, _range(64, SWITCH, LOUDEST), True
 
 
 def _range(controller: int, low: int, high: int) -> dict[str, str]:
@@ -80,9 +72,9 @@ def _range(controller: int, low: int, high: int) -> dict[str, str]:
     return {f"loCC{controller}": str(low), f"hiCC{controller}": str(high)}
 
 
-def _add_group(groups: ElementTree.Element, group: _Group) -> None:
-    key, (zone, file) = group.key, group.sample
-    element = ElementTree.SubElement(groups, "group", {"ampVelTrack": "0"} | group.pedals)
+def _add_group(groups: ElementTree.Element, key: SampledKey, sample: Sample, pedals: dict[str, str]) -> None:
+    zone, file = sample
+    element = ElementTree.SubElement(groups, "group", {"ampVelTrack": "0"} | pedals)
     attributes = {"path": file, "rootNote": key.midi, "loNote": key.low, "hiNote": key.high}
     attributes |= {"loVel": zone.low, "hiVel": zone.high}
     # The damper is the release; without a damper the note rings on. The format does not define the fall of an envelope

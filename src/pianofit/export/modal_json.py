@@ -121,8 +121,7 @@ def _force(
     instrument: Instrument, midi: int, velocity: int, table: StringTables, response: ModalResponse
 ) -> ForceEntry:
     """Strike the key at rest."""
-    hammer = instrument.note(midi, velocity).hammer
-    _, force = strike_string(table, hammer, np.zeros(len(table.pickup), complex), f"key {midi}")
+    _, force = strike_string(table, instrument.note(midi, velocity).hammer, f"key {midi}")
     gain = response.velocity_gain
     factor = np.ones(len(response.pole), complex) if gain is None else gain.at(force.velocity)
     amplitude = np.abs(response.pattern * factor * force.drive(response.pole))

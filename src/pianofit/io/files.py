@@ -5,6 +5,8 @@ from __future__ import annotations
 import codecs
 import contextlib
 import errno
+import functools
+import hashlib
 import io
 import json
 import os
@@ -74,6 +76,15 @@ def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
         wrong = f"byte 0x{data[problem.start]:02x} on line {line} is not UTF-8"
         wrong = "is UTF-16 text" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else wrong
         raise error(f"{printable(path)}: {wrong}; save it as UTF-8") from None
+
+
+@functools.cache
+def code_digest() -> str:
+    """Return the SHA-256 of the code of this package."""
+    code = hashlib.sha256()
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        code.update(file.read_bytes())
+    return code.hexdigest()
 
 
 def replace_paths(text: str, paths: Mapping[str, str]) -> str:

@@ -19,6 +19,7 @@ import jax
 from jax.core import Tracer
 
 from ..felt import FeltLaw, is_builtin
+from ..io.files import code_digest
 from ..x64 import x64_scope
 
 # Number of shapes per function whose programs stay in memory: those of one fit. A program takes some hundred memory
@@ -54,7 +55,8 @@ def persistent_jit(function: Callable, loaded: int = MAX_LOADED) -> Callable:
         if folder is None:
             return _compiled(whole.lower(*leaves))
         key = (cfg, tree, *shapes)
-        digest = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
+        versions = (code_digest(), jax.__version__, jax.default_backend())
+        digest = hashlib.sha256(repr((*versions, function.__name__, key)).encode())
         file = Path(folder) / f"pianofit-{function.__name__}-{digest.hexdigest()}.program"
         return _program(file, whole, leaves)
 
@@ -102,13 +104,3 @@ def _compiled(lowered: Any) -> Callable:
         return lowered.compile(COMPILER_OPTIONS if jax.default_backend() == "cpu" else None)
     except jax.errors.JaxRuntimeError:
         return lowered.compile()
-
-
-@functools.cache
-def _sources() -> str:
-    """Digest of the code of this package and the version of JAX, on which programs depend."""
-    package = Path(__file__).parents[1]
-    code = hashlib.sha256(jax.__version__.encode())
-    for part in sorted(package.rglob("*.py")):
-        code.update(part.read_bytes())
-    return code.hexdigest()

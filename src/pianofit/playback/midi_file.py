@@ -43,13 +43,7 @@ class MidiFile(NamedTuple):
 
 
 def parse_midi(data: bytes) -> MidiFile:
-    """Read the file from the first MIDI header in `data` on. A RIFF wrapper before it is skipped.
-
-    Raises
-    ------
-    MidiError
-        For a missing or unusable header, or a file of type 2 with several tracks.
-    """
+    """Read the file from the first MIDI header in `data` on. A RIFF wrapper before it is skipped."""
     begin = data.find(b"MThd")
     if begin < 0:
         raise MidiError("it has no MIDI header, MThd")

@@ -96,10 +96,12 @@ def string_tables(note: Note, rate: float) -> StringTables:
     )
 
 
-def strike_string(table: StringTables, hammer: Any, state: np.ndarray, where: str) -> tuple[np.ndarray, ForcePulse]:
+def strike_string(
+    table: StringTables, hammer: Any, where: str, state: np.ndarray | None = None
+) -> tuple[np.ndarray, ForcePulse]:
     """Strike a string that moves as q = Re(state · exp(p t)), state complex [modes]; return T [steps] and the force.
 
-    A pluck has the T of one step that leaves its static displacement.
+    Without a `state` the string is at rest. A pluck has the T of one step that leaves its static displacement.
 
     Raises `FitError`, which names `where`, if the hammer stays on the string. Raises `ParameterError` for a felt law
     that is not built in.
@@ -110,7 +112,9 @@ def strike_string(table: StringTables, hammer: Any, state: np.ndarray, where: st
         size = float(getattr(hammer, law.size))
         return np.array([size]), release_pulse(size, 1 / table.rate)
     hammer = type(hammer)(*map(np.float64, hammer))
-    velocity = np.real(np.asarray(table.modes.pole) * state)
+    pole = np.asarray(table.modes.pole)
+    state = np.zeros_like(pole) if state is None else state
+    velocity = np.real(pole * state)
     steps = FIRST_STEPS
     while steps <= MAX_STEPS:
         drive, newton, has_ended = _stroke(table.modes, hammer, np.real(state), velocity, table.powers, (steps,))

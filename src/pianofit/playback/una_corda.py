@@ -75,8 +75,6 @@ class UnaCorda:
 
 def una_corda(midi: int, position: float) -> UnaCorda:
     """Return the effect of the left pedal at a position from 0 (up) to 1 (down)."""
-    if not position:
-        return UnaCorda()
     strings = max(round(typical_strings(midi)), 1)
     struck = strings - position if strings > 1 else 1.0
     return UnaCorda(struck / strings, FELT_RATIO**position)

@@ -107,7 +107,7 @@ class StringVoice:
         is_pluck = not law_of(struck).has_contact
         shift = UnaCorda() if is_pluck else una_corda(self.midi, soft)
         hammer = shift.hammer(struck)
-        drive, force = strike_string(self.table, hammer, self.string.state, f"key {self.midi}")
+        drive, force = strike_string(self.table, hammer, f"key {self.midi}", self.string.state)
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.contact, self.force = 0.0, force._replace(force=shift.share * force.force)

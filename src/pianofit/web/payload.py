@@ -86,7 +86,7 @@ def _knock(note: Note, midi: int) -> EncodedSound | None:
     if response is None or not response.knock.size:
         return None
     table = string_tables(note._replace(path=None), response.rate)
-    _, force = strike_string(table, note.hammer, np.zeros(len(table.modes.pole), complex), f"key {midi_to_note(midi)}")
+    _, force = strike_string(table, note.hammer, f"key {midi_to_note(midi)}")
     return encoded_knock(response.scale_gain(float(note.gain)), force)
 
 

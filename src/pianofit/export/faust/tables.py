@@ -89,11 +89,10 @@ def tabulate_key(instrument: Instrument, midi: int, most_modes: int, channels: i
     """Tables of a key with at most `most_modes` modes, the loudest."""
     note = instrument.note(midi, 64)
     table = string_tables(note, RATE)
-    at_rest = np.zeros(len(table.modes.pole), complex)
     strokes = [instrument.note(midi, int(velocity)) for velocity in VELOCITIES]
     forces = []
     for stroke in strokes:
-        drive, force = strike_string(table, stroke.hammer, at_rest, f"key {midi}")
+        drive, force = strike_string(table, stroke.hammer, f"key {midi}")
         force = force if note.modal_response is not None else force._replace(force=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
