@@ -5,7 +5,6 @@ from __future__ import annotations
 from ..inference import InferenceResult
 from ..schema.fit import Fit, package_versions
 from ..threads import one_blas_thread
-from .alignment import contact_onset
 from .comparison import compare_recordings, pool_level_errors, worse_bands
 from .correlations import strong_correlations
 from .derived_table import with_derived
@@ -33,9 +32,7 @@ def build_result(fit: InferenceResult) -> Result:
     by_minimum = [notes_of(fit, which) for which in range(len(found.nll))]
     minima = minima_of(fit, by_minimum)
     correlation = covariance_of(fit, 0).of_shared(problem.velocity_scale_free).normalised
-    gain = None if initial.scale is None else 1.0 / initial.scale
-    contacts = [contact_onset(note, gain, own) for own, note in zip(problem.recordings, by_minimum[0], strict=True)]
-    recordings = compare_recordings(fit, by_minimum[0], contacts)
+    recordings = compare_recordings(fit, by_minimum[0])
     notes = tuple(
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
         for own in by_minimum

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,10 +23,8 @@ def records_of(
     """The records of all recordings; `velocities` are those of the strokes."""
     layout, f0 = problem.structure, problem.analyses[problem.reference].f0
     return tuple(
-        record_of(
-            recording,
-            velocities[stroke],
-            problem.calibrated,
+        replace(
+            record_of(recording, velocities[stroke], problem.calibrated),
             is_reference=i == problem.reference,
             pitch_offset_cents=cents_above(recording.analysis.f0, f0),
             path_group=group,
@@ -36,18 +35,8 @@ def records_of(
     )
 
 
-def record_of(
-    fitted: FittedRecording,
-    velocity: Quantity,
-    calibrated: bool,
-    *,
-    is_reference: bool = True,
-    pitch_offset_cents: float = 0.0,
-    path_group: int = 0,
-    stroke: int = 0,
-    midi_velocity: float | None = None,
-) -> RecordingFit:
-    """The record of one recording; `velocity` is that of its stroke."""
+def record_of(fitted: FittedRecording, velocity: Quantity, calibrated: bool) -> RecordingFit:
+    """The record of a recording that is fitted alone; `velocity` is that of its stroke."""
     source, table = fitted.recording, fitted.partials
     return RecordingFit(
         file=source.path,
@@ -62,16 +51,15 @@ def record_of(
         note=fitted.analysis.note,
         gain=fitted.fitted.note.gain,
         gain_status="given" if calibrated else "fitted",
-        is_reference=is_reference,
-        pitch_offset_cents=pitch_offset_cents,
-        path_group=path_group,
-        stroke=stroke,
+        is_reference=True,
+        pitch_offset_cents=0.0,
+        path_group=0,
+        stroke=0,
         criterion=fitted.criterion,
         levels=fitted.levels,
         partials=PartialLevels(
             table.number, fitted.level, table.level_error, fitted.initial.level, fitted.fitted.level
         ),
-        midi_velocity=midi_velocity,
     )
 
 

@@ -72,7 +72,7 @@ def read_answers(path: Path) -> tuple[Answers, Any]:
     ParameterError
         If the file has no answers. The message names the file and the entry.
     """
-    content = load_json(path, Any, LARGEST_ANSWERS, "answers of a listening test", HINT, ParameterError)
+    content = load_json(path, LARGEST_ANSWERS, "answers of a listening test", HINT, ParameterError)
     schema = content.get("schema") if isinstance(content, dict) else "none"
     if schema != ANSWERS_SCHEMA:
         found = schema if schema == "none" else short_repr(schema)

@@ -27,8 +27,7 @@ from ..io.files import printable
 from ..io.number_format import counted
 from ..literature import typical_strings
 from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
-from ..schema.decode import load_json
-from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT, OwnFit
+from ..schema.instrument import INSTRUMENT_FILE, OwnFit, is_instrument
 from ..schema.tuning import IntervalValue, OctaveType, PartialBeat, TunedKey, Tuning
 from .curves import OCTAVE_TYPES, partial_cents, tuning_curve
 
@@ -242,12 +241,7 @@ def load_recorded(paths: Sequence[Path], prefix: str | None) -> Recorded:
 
 
 def _is_instrument(path: Path) -> bool:
-    if path.is_dir():
-        return (path / INSTRUMENT_FILE).is_file()
-    if not path.is_file():
-        return False
-    content = load_json(path, Any, LARGEST_INSTRUMENT, "a fit.json or an instrument.json", HINT)
-    return isinstance(content, dict) and content.get("kind") == "instrument"
+    return (path / INSTRUMENT_FILE).is_file() or (path.is_file() and is_instrument(path, HINT))
 
 
 def _from_fits(paths: Sequence[Path], prefix: str | None) -> Recorded:
