@@ -55,12 +55,7 @@ class DrawnNote(NamedTuple):
 
 
 class NotePrior:
-    """Distribution of the notes of a data set.
-
-    Parameters
-    ----------
-    source : central notes.
-    """
+    """Distribution of the notes of a data set about its central notes."""
 
     def __init__(self, options: NoteOptions, source: Source, seed: int) -> None:
         self.options, self.source, self.seed = options, source, seed
@@ -72,12 +67,7 @@ class NotePrior:
         return np.random.default_rng([self.seed, number, stream, *more])
 
     def draw(self, number: int, attempt: int = 0) -> DrawnNote:
-        """Draw a note.
-
-        Parameters
-        ----------
-        attempt : number of earlier draws of this note whose contact did not end. The key stays the same.
-        """
+        """Draw a note, after a number of draws of it whose contact did not end. The key stays the same."""
         midi = self._keys[int(self.random(number, Stream.KEY).integers(len(self._keys)))]
         if midi not in self._centres:
             self._centres[midi] = _Centre(self.source.notes[midi], midi, self.options)

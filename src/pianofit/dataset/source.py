@@ -64,16 +64,7 @@ def noise_range(options: NoteOptions) -> tuple[float, float] | None:
 
 
 def load_source(options: NoteOptions) -> Source:
-    """Return the central notes of the keys that the options choose.
-
-    Raises
-    ------
-    ParameterError
-        For an invalid range of keys, for plucked strings, and for keys or modal responses that a fit or an instrument
-        lacks.
-    FitError
-        If the file is neither a fit nor an instrument.
-    """
+    """Return the central notes of the keys that the options choose, after a check of all options."""
     check_options(options)
     around = Source(_literature()) if options.around is None else _read(path_name(options.around))
     own = around.notes

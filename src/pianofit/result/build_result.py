@@ -21,13 +21,7 @@ from .warnings import fit_warnings
 
 @one_blas_thread()
 def build_result(fit: InferenceResult) -> Result:
-    """Build sounds, quantities and sentences from an inference.
-
-    Raises
-    ------
-    FitError
-        If an initial or a final contact does not end.
-    """
+    """Build sounds, quantities and sentences from an inference; a `FitError` if a contact does not end."""
     problem, initial, found = fit.problem, fit.problem.initial_values, fit.estimate.minima
     by_minimum = [notes_of(fit, which) for which in range(len(found.nll))]
     minima = minima_of(fit, by_minimum)

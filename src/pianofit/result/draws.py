@@ -75,13 +75,7 @@ class Draws(Mapping[str, np.ndarray]):
         return f"Draws of {', '.join(self.entries)}: {chains} chains of {count}"
 
     def to_arviz(self) -> Any:
-        """The draws for ArviZ; see `Result.to_arviz`.
-
-        Raises
-        ------
-        OutputError
-            If ArviZ is not installed.
-        """
+        """The draws for ArviZ; see `Result.to_arviz`."""
         arviz = require_optional("arviz_base", "draws for ArviZ")
         groups: dict[str, dict[str, np.ndarray]] = {
             # A name in a tree of xarray must not contain a slash.
@@ -149,10 +143,7 @@ def _little_endian(values: np.ndarray) -> np.ndarray:
 def read_draws(entry: DrawsFile | None, folder: Path, invariants: Container[str]) -> Draws | None:
     """Read the draws in a `folder` that `entry` of its fit describes; None without entry or file.
 
-    Raises
-    ------
-    FitError
-        If the file is not the one that was saved with this fit, or does not hold draws.
+    Raises `FitError` if the file is not the one that was saved with this fit, or does not hold draws.
     """
     path = folder / DRAWS_FILE  # a fit cannot name another file
     if entry is None or not path.exists():

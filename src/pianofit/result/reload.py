@@ -25,14 +25,7 @@ from .fitted_recording import FittedRecording
 def reload_recordings(fit: Fit, notes: Sequence[Note], sources: Sequence[Source] = ()) -> tuple[FittedRecording, ...]:
     """The recordings of a fit, read from their stored paths or from `sources`, in their order.
 
-    Parameters
-    ----------
-    notes : notes of the best minimum, one for each recording.
-
-    Raises
-    ------
-    FitError
-        If a file is missing or is not the one that was fitted; the message names it.
+    `notes` are those of the best minimum. Raises `FitError` if a file is missing or is not the one that was fitted.
     """
     records = fit.recordings
     if sources and len(sources) != len(records):

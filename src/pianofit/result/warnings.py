@@ -47,14 +47,7 @@ def fit_warnings(
     worse: Sequence[str],
     errors: Sequence[float],
 ) -> tuple[str, ...]:
-    """All warnings of a fit.
-
-    Parameters
-    ----------
-    correlated : the pairs of parameters that the recordings do not distinguish.
-    worse : bands in which eq. 19 did not decrease.
-    errors : rms level error of every recording, dB.
-    """
+    """All warnings of a fit; `worse` are bands in which eq. 19 did not decrease, `errors` rms level errors, dB."""
     problem = fit.problem
     sections = (
         [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED],

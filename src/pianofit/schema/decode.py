@@ -47,11 +47,7 @@ def load_json(
 ) -> Any:
     """Return the content of a JSON file of at most `limit` bytes.
 
-    Raises
-    ------
-    PianofitError
-        `error`, if the file cannot be read or is not JSON. The message names the file and `what` it should be, and ends
-        with the `hint`.
+    An `error` names the file and `what` it should be, and ends with the `hint`.
     """
     data = read_file(path, limit, error)
     try:
@@ -78,13 +74,7 @@ def load_record(
 
 
 def convert(data: Any, kind: type[T], where: str, hint: str, error: type[PianofitError] = FitError) -> T:
-    """Return dicts and lists as a `kind`.
-
-    Raises
-    ------
-    PianofitError
-        `error`, beginning with `where` and the entry, and ending with the `hint`.
-    """
+    """Return dicts and lists as a `kind`. An `error` begins with `where` and the entry, and ends with the `hint`."""
     try:
         return msgspec.convert(data, kind, dec_hook=_decode)
     except (msgspec.ValidationError, RecursionError) as problem:

@@ -67,29 +67,17 @@ class SoundEntry:
         return cls(scale, encode_embedded(samples / scale, rate), file=file)
 
     def samples(self, where: str) -> tuple[np.ndarray, int]:
-        """Return the sound [channels, samples] and its rate, Hz.
-
-        Raises
-        ------
-        FitError
-            If it cannot be read. The message names `where` the entry is.
-        """
+        """Return the sound [channels, samples] and its rate, Hz. A `FitError` names `where` the entry is."""
         samples, rate = decode_embedded(self.flac, self.wav, where)
         return self.scale * samples, rate
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory.
+    """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory."""
 
-    Parameters
-    ----------
-    frequency : frequencies, ascending, Hz [frequencies].
-    density : power spectral density of each channel, file units² per Hz [channels][frequencies].
-    """
-
-    frequency: np.ndarray
-    density: tuple[np.ndarray, ...]
+    frequency: np.ndarray  # ascending, Hz [frequencies]
+    density: tuple[np.ndarray, ...]  # power spectral density of each channel, file units² per Hz
 
     def __post_init__(self) -> None:
         shapes = {self.frequency.shape, *(row.shape for row in self.density)}

@@ -346,13 +346,7 @@ def key_files(folder: Path, name: str = "fit.json") -> list[Path]:
 
 
 def read_fit(path: str | os.PathLike[str]) -> Fit:
-    """Read a `fit.json`.
-
-    Raises
-    ------
-    FitError
-        If the file is not a `fit.json` of this schema. The message names the file and the entry.
-    """
+    """Read a `fit.json`; raise a `FitError` for any other file, which names the file and the entry."""
     return convert(_content(path), Fit, printable(path), HINT)
 
 

@@ -116,13 +116,7 @@ class Knock:
             raise ValueError("Expected a scale above 0")
 
     def samples(self, folder: Path | None, channels: int, name: str) -> tuple[np.ndarray, int]:
-        """Return the knock [channels, samples] and its rate, Hz; only `KNOCK_FILE` of the `folder` is opened.
-
-        Raises
-        ------
-        FitError
-            If it is missing or is not a sound of that many channels.
-        """
+        """Return the knock [channels, samples] and its rate, Hz; only `KNOCK_FILE` of the `folder` is opened."""
         if folder is None or self.flac is not None or self.wav is not None:
             samples, rate = decode_embedded(self.flac, self.wav, f"{name}: modal_response.knock", channels)
         else:
@@ -170,10 +164,7 @@ class ModalResponseEntry:
     def response(self, folder: Path | None, name: str) -> ModalResponse:
         """Return the response of the model. The knock is inside the entry, or else a file in `folder`.
 
-        Raises
-        ------
-        FitError
-            If the knock cannot be read; the message begins with `name` or with its path.
+        Raises `FitError` if the knock cannot be read. The message begins with `name` or with its path.
         """
         table, gain, amplitudes = self.modes, self.velocity_gain, _matrix(self.modal_amplitudes)
         error = np.zeros(len(table.decay)) if table.decay_error is None else table.decay_error
@@ -215,13 +206,7 @@ def encode_knock(response: ModalResponse) -> bytes | None:
 
 
 def decode_sound(data: bytes, kind: str, path: object, channels: int | None = None) -> tuple[np.ndarray, int]:
-    """Return the sound of a FLAC or WAV file [channels, samples] and its rate, Hz.
-
-    Raises
-    ------
-    FitError
-        If it is not a sound of that kind and of that many channels. The message begins with `path`.
-    """
+    """Return the sound of a FLAC or WAV file [channels, samples] and its rate, Hz. Errors begin with `path`."""
     import soundfile
 
     if data[:4] != MAGIC[kind]:  # no other decoder may read the data

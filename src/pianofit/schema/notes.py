@@ -51,17 +51,9 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
 
 def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | None = None) -> Note:
-    """Return the note of the reference recording at the best minimum.
+    """Return the note of the reference recording at the best minimum; errors as of `load_note`, beginning with `name`.
 
-    Parameters
-    ----------
-    folder : folder of the knock, if it is a file.
-    name : beginning of every error message.
-
-    Raises
-    ------
-    FitError
-        As `load_note`.
+    A knock that is a file lies in `folder`.
     """
     values, law = {n: quantity.value for n, quantity in record.parameters.items()}, law_of_fit(record, name, felt)
     where = f"{name}: parameters"
@@ -158,17 +150,7 @@ def _string_and_hammer(values: Mapping[str, float], where: str, law: Excitation)
 
 
 def notes_of_recordings(fit: Fit, mixture: list[tuple[float, Note]], name: str) -> tuple[tuple[Note, ...], ...]:
-    """Return the notes of all minima for every recording [minima][recordings].
-
-    Parameters
-    ----------
-    mixture : those of the reference recording, by `notes_of_minima`.
-
-    Raises
-    ------
-    FitError
-        If an entry is out of range; the message names file and entry.
-    """
+    """Return the notes of all minima for every recording [minima][recordings], from those of `notes_of_minima`."""
     return tuple(
         tuple(_note_of_recording(fit, which, i, note, name) for i in range(len(fit.recordings)))
         for which, (_, note) in enumerate(mixture)
@@ -201,13 +183,7 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
 
 
 def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
-    """Return the initial note of one recording, without gain and output path; `note` is the fitted one.
-
-    Raises
-    ------
-    FitError
-        If the fit has no initial values.
-    """
+    """Return the initial note of one recording, without gain and output path; `note` is the fitted one."""
     initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {
         fit.stroke_name: stroke.stroke_initial
     }
