@@ -71,7 +71,7 @@ class NotePrior:
         midi = self._keys[int(self.random(number, Stream.KEY).integers(len(self._keys)))]
         if midi not in self._centres:
             self._centres[midi] = _Centre(self.source.notes[midi], midi, self.options)
-        notes = self._centres[midi].draw(self.random(number, Stream.PARAMETERS, attempt), self.options.spread)
+        notes = self._centres[midi].draw(self.random(number, Stream.PARAMETERS, attempt))
         path = notes[0].path if self.options.path else None
         if self.options.path and self.options.around is None:
             path = draw_path(self.random(number, Stream.PATH))
@@ -112,9 +112,9 @@ class _Centre:
         u_ref = None if fixed else reference_compression(midi_of(float(note.f0)))
         return prior_parametrisation(start, [None] * self._options.layers, u_ref)
 
-    def draw(self, random: np.random.Generator, spread: float) -> list[Note]:
+    def draw(self, random: np.random.Generator) -> list[Note]:
         """Draw string, hammer and contact, and the layers from soft to loud."""
-        u = self._unknowns
+        u, spread = self._unknowns, self._options.spread
         z = ndtri(TAIL + (1 - 2 * TAIL) * random.random(u.size))  # a search does not sample the tails either
         sd = np.where(np.arange(u.size) < u.shared, spread, 1.0) * u.sd
         theta = u.mean + sd * z

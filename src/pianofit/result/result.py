@@ -396,4 +396,4 @@ class Result:
         path = fit_path(folder)
         fit, name = read_fit(path), printable(path)
         notes = notes_of_recordings(fit, notes_of_minima(fit, path.parent, name, felt), name)
-        return cls(fit, (), notes, read_draws(fit.draws, path.parent, fit.invariants), path.parent)
+        return cls(fit, (), notes, read_draws(fit.draws, path.parent), path.parent)

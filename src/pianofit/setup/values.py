@@ -303,17 +303,14 @@ def _range(box: Parameter) -> Range:
 def _number(value: Any, key: str, where: str, allowed: Range) -> float:
     """Return a number within its range. Comparing before converting rejects integers too large for a float."""
     lower, upper, unit = allowed
-    if not _is_number(value) or not lower <= value <= upper:
+    is_number = isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
+    if not is_number or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
         if isinstance(value, Measured | Mapping):
             quotes = " without an sd; for a measured value use [fixed]"
         raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
 
 
 def _check_choice(value: object, allowed: tuple[str, ...], where: str) -> None:
