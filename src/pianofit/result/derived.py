@@ -163,28 +163,26 @@ class DrawSet:
         return probes | {name: scale(best, self.law, SCALE) for name, scale in scaled.items()}
 
     @cached_property
-    def _points(self) -> list[tuple[dict[str, float], Note]]:
-        """Values and note of the best minimum, then of the probes, then of the draws."""
+    def draws(self) -> list[ModelDraw]:
+        """The best minimum, then the probes, then the draws."""
         count = max(map(len, self._drawn.values()))
         columns = {name: np.broadcast_to(values, count).tolist() for name, values in self._drawn.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         values = [self._best_values, *self._probes.values(), *(rows if self.fit.has_intervals else [])]
-        return [(one, _note(self.best, self._within_ranges(one))) for one in values]
+        return [
+            ModelDraw(one, _note(self.best, self._within_ranges(one)), lambda i=i: self._strokes[i])
+            for i, one in enumerate(values)
+        ]
 
     @cached_property
     def _strokes(self) -> list[Simulation]:
-        """The strokes of all points, simulated together when the first is asked for."""
-        notes, own_rate = [note for _, note in self._points], self.fit.reference.rate
+        """The strokes of all draws, simulated together when the first is asked for."""
+        notes, own_rate = [draw.note for draw in self.draws], self.fit.reference.rate
         arrays, rate, cfg = strokes_arguments(notes, self.first or notes[0].strike(own_rate))
         done = simulations(run_in_batches(strokes, arrays, rate, cfg, BATCH_SIZE))
         # A contact that is much longer than the first is simulated alone.
         pairs = zip(done, notes, strict=True)
         return [one if one.pulse.contact_ended else note.strike(own_rate) for one, note in pairs]
-
-    @cached_property
-    def draws(self) -> list[ModelDraw]:
-        """The best minimum, then the probes, then the draws."""
-        return [ModelDraw(values, note, lambda i=i: self._strokes[i]) for i, (values, note) in enumerate(self._points)]
 
     def _within_ranges(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return values with the felt inside its ranges: probes and another scale of the velocities can leave them."""
