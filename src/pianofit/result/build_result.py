@@ -8,11 +8,10 @@ from ..threads import one_blas_thread
 from .comparison import compare_recordings, pool_level_errors
 from .correlations import strong_correlations
 from .derived_table import with_derived
-from .diagnostics import diagnostics_of
 from .draws import draws_of
 from .estimates import invariants, parameters, stroke_velocities
 from .minima import minima_of, notes_of
-from .records import derived_of, pickup_of, records_of
+from .records import derived_of, diagnostics_of, pickup_of, records_of
 from .result import Result
 from .statement import identifiability_statement
 from .statuses import statuses
