@@ -73,8 +73,7 @@ class RecordingInfo:
     stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
     midi_velocity: float | None = None  # 1 to 127, of the layer in its library; no part of the fit
 
-    def __repr__(self) -> str:
-        return filled(self)
+    __repr__ = filled
 
 
 # Tables of a file and their keys.
@@ -114,8 +113,7 @@ class Setup:
     excitation: str = HAMMER  # "hammer" or "pluck"
     prior: KeyPrior | None = None  # of the other keys of the keyboard, in place of the literature's
 
-    def __repr__(self) -> str:
-        return filled(self)
+    __repr__ = filled
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {}
