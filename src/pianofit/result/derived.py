@@ -187,7 +187,7 @@ class DrawSet:
         Probes and another scale of the velocities can leave the ranges.
         """
         boxes, note, g = self.law.parameters.items(), self.best, self.best.geometry
-        values = {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
+        ranged = {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
         width = values.get("width", g.width)
         # The contact window stays on the string.
         strike = min(max(values["x0"], width / 2), values["L"] - width / 2)
@@ -196,7 +196,7 @@ class DrawSet:
         sizes = {"length": values["L"], "mass": values["M_S"], "strike_position": strike, "width": width}
         return note._replace(
             string=note.string._replace(**{name: values[name] for name in note.string._fields}),
-            hammer=note.hammer._replace(**{name: values[name] for name in note.hammer._fields if name in values}),
+            hammer=note.hammer._replace(**{name: ranged[name] for name in note.hammer._fields if name in ranged}),
             geometry=g._replace(**sizes, pickup=pickup),
         )
 

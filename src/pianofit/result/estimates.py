@@ -196,7 +196,7 @@ def _velocity_ratios(fit: InferenceResult, states: Sequence[Status]) -> list[Qua
         if (at := shared + stroke) != reference:
             name, file = f"v/v_ref {stroke + 1}", problem.recordings[problem.structure.stroke.index(stroke)].path
             value, direction = float(np.exp(z[at] - z[reference])), unit[at] - unit[reference]
-            both = max(state, states[reference - shared], key=SEVERITY.index)
+            both = SEVERITY[max(map(SEVERITY.index, (state, states[reference - shared])))]
             table.append(_combined(name, fit.posterior, direction, value, "1", {"v_H0": both}, Path(file).name))
     return table
 

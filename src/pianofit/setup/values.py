@@ -73,7 +73,8 @@ class RecordingInfo:
     stroke: str | None = None  # the same name marks recordings of one stroke by several microphones
     midi_velocity: float | None = None  # 1 to 127, of the layer in its library; no part of the fit
 
-    __repr__ = filled
+    def __repr__(self) -> str:
+        return filled(self)
 
 
 # Tables of a file and their keys.
@@ -113,7 +114,8 @@ class Setup:
     excitation: str = HAMMER  # "hammer" or "pluck"
     prior: KeyPrior | None = None  # of the other keys of the keyboard, in place of the literature's
 
-    __repr__ = filled
+    def __repr__(self) -> str:
+        return filled(self)
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {}
@@ -297,14 +299,17 @@ def _range(box: Parameter) -> Range:
 def _number(value: Any, key: str, where: str, allowed: Range) -> float:
     """Return a number within its range. Comparing before converting rejects integers too large for a float."""
     lower, upper, unit = allowed
-    is_number = isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
-    if not is_number or not lower <= value <= upper:
+    if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         quotes = " (no quotes)" if isinstance(value, str) else ""
         if isinstance(value, Measured | Mapping):
             quotes = " without an sd; for a measured value use [fixed]"
         raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool | Measured)  # includes NumPy's numbers
 
 
 def _check_choice(value: object, allowed: tuple[str, ...], where: str) -> None:
