@@ -26,8 +26,6 @@ from pianofit.schema.fit import DrawsFile
 
 pytestmark = pytest.mark.usefixtures("float64")
 
-INVARIANTS = ("f0", "M_H/M_S")
-
 
 def draws(chains: int = 2, count: int = 30) -> Draws:
     """Random draws of an invented fit."""
@@ -36,7 +34,7 @@ def draws(chains: int = 2, count: int = 30) -> Draws:
     seen = {kind: ObservedValues(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
             for kind, n in (("level", 5), ("frequency", 3), ("absent", 0))}  # fmt: skip
     likelihood = {kind: random.normal(size=(chains, count, len(own.value))) for kind, own in seen.items()}
-    return Draws(values, INVARIANTS, likelihood, seen)
+    return Draws(values, likelihood, seen)
 
 
 def entry(data: bytes) -> DrawsFile:
@@ -46,7 +44,7 @@ def entry(data: bytes) -> DrawsFile:
 def written(folder: Path, data: bytes) -> Draws | None:
     """Draws read from a file that holds `data`, with a matching entry of a fit."""
     (folder / DRAWS_FILE).write_bytes(data)
-    return read_draws(entry(data), folder, INVARIANTS)
+    return read_draws(entry(data), folder)
 
 
 # --- the likelihood of each observation -------------------------------------------------------------------------------
@@ -95,7 +93,6 @@ def test_draws_are_read_as_they_were_written(tmp_path):
     back = written(tmp_path, encode_draws(first))
     assert back is not None
     assert list(back) == list(first)
-    assert back.invariants == first.invariants
     for name, values in first.items():
         np.testing.assert_array_equal(back[name], values)
     for kind, own in first.observed.items():
@@ -111,9 +108,9 @@ def test_draws_are_read_as_they_were_written(tmp_path):
 
 def test_a_fit_without_draws_has_none(tmp_path):
     data = encode_draws(draws())
-    assert read_draws(entry(data), tmp_path, ()) is None, "the file was deleted"
+    assert read_draws(entry(data), tmp_path) is None, "the file was deleted"
     (tmp_path / DRAWS_FILE).write_bytes(data)
-    assert read_draws(None, tmp_path, ()) is None, "the file of an earlier fit"
+    assert read_draws(None, tmp_path) is None, "the file of an earlier fit"
 
 
 def archive(arrays: dict[str, np.ndarray], compression: int = zipfile.ZIP_STORED) -> bytes:
@@ -184,7 +181,7 @@ def test_another_file_than_the_fit_s_is_refused(tmp_path):
     data = encode_draws(draws())
     (tmp_path / DRAWS_FILE).write_bytes(encode_draws(draws(3)))
     with pytest.raises(FitError, match=r"draws\.npz: .*SHA-256"):
-        read_draws(entry(data), tmp_path, INVARIANTS)
+        read_draws(entry(data), tmp_path)
 
 
 def test_a_folder_keeps_the_draws(tmp_path):

@@ -31,7 +31,7 @@ from pianofit.result.cross_validation import cross_validate
 from pianofit.result.prediction import predict_recording
 from pianofit.result.warnings import velocity_assignment_warning
 from pianofit.schema.fit import Minimum, VelocityDiscrepancyEntry, read_fit
-from pianofit.schema.notes import notes_of_minima
+from pianofit.schema.notes import notes_of_fit
 from pianofit.setup import RecordingInfo, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
@@ -156,8 +156,8 @@ def test_a_file_predicts_what_its_fit_predicts(tmp_path):
     assert (read.velocity, read.error_db) == pytest.approx((whole.velocity, whole.error_db), rel=1e-6)
 
     def discrepancies(*minima: Minimum) -> list[VelocityDiscrepancy | None]:
-        notes = notes_of_minima(replace(fit, minima=minima), folder, "fit.json")
-        return [note.path.velocity_discrepancy for _, note in notes]
+        notes = notes_of_fit(replace(fit, minima=minima), folder, "fit.json")
+        return [own[fit.reference_index].path.velocity_discrepancy for own in notes]
 
     fit = read_fit(folder / "fit.json")
     (one, *_), path = fit.minima, fit.pickup.path

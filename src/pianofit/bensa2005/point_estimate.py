@@ -43,7 +43,7 @@ def point_result(
     ----------
     opening, message : statements about the search itself.
     """
-    comparison, values = RecordingComparison.of(recording, analysis, start.scale), start.values | start.initial
+    comparison, values = RecordingComparison(recording, analysis, start.scale), start.values | start.initial
     begins = None if start.scale is None else recording.onset - round(found.delay * recording.rate)
     first = Note(
         String(*(values[n] for n in String._fields)),

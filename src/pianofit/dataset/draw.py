@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -55,33 +54,21 @@ class DrawnNote(NamedTuple):
 
 
 class NotePrior:
-    """Distribution of the notes of a data set.
-
-    Parameters
-    ----------
-    source : central notes.
-    """
+    """Distribution of the notes of a data set about its central notes."""
 
     def __init__(self, options: NoteOptions, source: Source, seed: int) -> None:
         self.options, self.source, self.seed = options, source, seed
         self._keys = sorted(source.notes)
-        self._centres: dict[int, _Centre] = {}
+        self._priors: dict[int, Parametrisation] = {}
 
     def random(self, number: int, stream: Stream, *more: int) -> np.random.Generator:
         """Return the generator of one purpose of one note."""
         return np.random.default_rng([self.seed, number, stream, *more])
 
     def draw(self, number: int, attempt: int = 0) -> DrawnNote:
-        """Draw a note.
-
-        Parameters
-        ----------
-        attempt : number of earlier draws of this note whose contact did not end. The key stays the same.
-        """
+        """Draw a note, after a number of draws of it whose contact did not end. The key stays the same."""
         midi = self._keys[int(self.random(number, Stream.KEY).integers(len(self._keys)))]
-        if midi not in self._centres:
-            self._centres[midi] = _Centre(self.source.notes[midi], midi, self.options)
-        notes = self._centres[midi].draw(self.random(number, Stream.PARAMETERS, attempt), self.options.spread)
+        notes = self._layers(midi, self.random(number, Stream.PARAMETERS, attempt))
         path = notes[0].path if self.options.path else None
         if self.options.path and self.options.around is None:
             path = draw_path(self.random(number, Stream.PATH))
@@ -93,60 +80,55 @@ class NotePrior:
         """Return white noise with an rms of 1 for one sound [samples]."""
         return self.random(number, Stream.NOISE, layer + 1).standard_normal(samples)
 
-
-class _Centre:
-    """Priors about one central note."""
-
-    def __init__(self, note: Note, midi: int, options: NoteOptions) -> None:
-        self._note, self._midi, self._options = note, midi, options
-
-    @cached_property
-    def _unknowns(self) -> Parametrisation:
-        """The prior of a fit about this note. Every layer is a stroke with an unknown velocity."""
-        note, law = self._note, plain_law(self._note.hammer)
-        values = _values(note)
-        fixed = law.power is None or law.power[0] not in law.parameters
-        start = InitialValues(
-            values=values,
-            initial=values,
-            fixed={},
-            assumptions={},
-            bounds={},
-            geometry=note.geometry,
-            assumed=(),
-            quantity="bridge-force",  # with an unknown path a fit would fix the width of the contact
-            scale=None,
-            reference_hammer=Hammer(*note.hammer[: len(HAMMER_NAMES)]),
-            law=law,
-        )
-        u_ref = None if fixed else reference_compression(midi_of(float(note.f0)))
-        return prior_parametrisation(start, [None] * self._options.layers, u_ref)
-
-    def draw(self, random: np.random.Generator, spread: float) -> list[Note]:
-        """Draw string, hammer and contact, and the layers from soft to loud."""
-        u = self._unknowns
+    def _layers(self, midi: int, random: np.random.Generator) -> list[Note]:
+        """Draw string, hammer and contact of a key, and its layers from soft to loud."""
+        centre, options = self.source.notes[midi], self.options
+        if midi not in self._priors:
+            self._priors[midi] = _prior_about(centre, options.layers)
+        u = self._priors[midi]
         z = ndtri(TAIL + (1 - 2 * TAIL) * random.random(u.size))  # a search does not sample the tails either
-        sd = np.where(np.arange(u.size) < u.shared, spread, 1.0) * u.sd
+        sd = np.where(np.arange(u.size) < u.shared, options.spread, 1.0) * u.sd
         theta = u.mean + sd * z
-        theta[:STRING_SIZE] = u.mean[:STRING_SIZE] + spread * self._string_changes(z)
+        theta[:STRING_SIZE] = u.mean[:STRING_SIZE] + options.spread * self._string_changes(midi, z)
         theta[u.velocities] = np.sort(theta[u.velocities])
         theta = u.project(theta)
         string, geometry = u.string(theta), u.geometry_at(theta)
         strike = geometry.strike_position
         geometry = geometry._replace(width=min(geometry.width, WITHIN * strike, WITHIN * (geometry.length - strike)))
-        response = self._note.modal_response if self._options.modal_response else None
+        response = centre.modal_response if options.modal_response else None
         if response is not None:
-            response = response.scale_pitch(float(string.c / self._note.string.c))
-        note = self._note._replace(string=string, geometry=geometry, modal_response=response)
+            response = response.scale_pitch(float(string.c / centre.string.c))
+        note = centre._replace(string=string, geometry=geometry, modal_response=response)
         return [note._replace(hammer=u.hammer(theta, stroke)) for stroke in range(u.strokes)]
 
-    def _string_changes(self, z: np.ndarray) -> np.ndarray:
+    def _string_changes(self, midi: int, z: np.ndarray) -> np.ndarray:
         """Changes of the logarithms of c, κ, b1 and b2 from four standard normal numbers."""
-        sd = {name: LAW_QUANTITIES[name].prior.sd_at(self._midi) for name in ("cents", "B", "b1", "d2")}
+        sd = {name: LAW_QUANTITIES[name].prior.sd_at(midi) for name in ("cents", "B", "b1", "d2")}
         c = math.log(2) / 1200 * sd["cents"] * z[0]
-        if self._options.modal_response:  # the measured modes keep their inharmonicity and decay
+        if self.options.modal_response:  # the measured modes keep their inharmonicity and decay
             return np.array([c, c, 0.0, 0.0])
         return np.array([c, c + 0.5 * sd["B"] * z[1], sd["b1"] * z[2], sd["d2"] * z[3]])
+
+
+def _prior_about(note: Note, layers: int) -> Parametrisation:
+    """The prior of a fit about a central note. Every layer is a stroke with an unknown velocity."""
+    law, values = plain_law(note.hammer), _values(note)
+    fixed = law.power is None or law.power[0] not in law.parameters
+    start = InitialValues(
+        values=values,
+        initial=values,
+        fixed={},
+        assumptions={},
+        bounds={},
+        geometry=note.geometry,
+        assumed=(),
+        quantity="bridge-force",  # with an unknown path a fit would fix the width of the contact
+        scale=None,
+        reference_hammer=Hammer(*note.hammer[: len(HAMMER_NAMES)]),
+        law=law,
+    )
+    u_ref = None if fixed else reference_compression(midi_of(float(note.f0)))
+    return prior_parametrisation(start, [None] * layers, u_ref)
 
 
 def _values(note: Note) -> dict[str, float]:

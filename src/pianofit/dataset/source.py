@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import HIGHEST_KEY, LOWEST_KEY, midi_of
@@ -16,16 +16,14 @@ from ..instrument.key_quantities import literature_note
 from ..io.files import path_name, printable, read_file
 from ..model.note import Note, check_render
 from ..schema.dataset import NoteOptions
-from ..schema.decode import load_json
 from ..schema.fit import fit_path
-from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT
+from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT, is_instrument
 from ..schema.notes import load_note
 
 # Largest number of layers: 128 MIDI velocities.
 MAX_LAYERS = 128
 MAX_SPREAD = 3.0  # of the priors, beyond which most draws end at a bound
 MAX_NOISE_DB = 200.0  # dB below the note, below the rounding of 32 bit samples
-KIND = "a fit.json or an instrument.json"
 
 
 class Source(NamedTuple):
@@ -66,16 +64,7 @@ def noise_range(options: NoteOptions) -> tuple[float, float] | None:
 
 
 def load_source(options: NoteOptions) -> Source:
-    """Return the central notes of the keys that the options choose.
-
-    Raises
-    ------
-    ParameterError
-        For an invalid range of keys, for plucked strings, and for keys or modal responses that a fit or an instrument
-        lacks.
-    FitError
-        If the file is neither a fit nor an instrument.
-    """
+    """Return the central notes of the keys that the options choose, after a check of all options."""
     check_options(options)
     around = Source(_literature()) if options.around is None else _read(path_name(options.around))
     own = around.notes
@@ -121,8 +110,7 @@ def _read(name: str) -> Source:
     if path.is_dir() and not file.is_file():
         raise OutputError(f"{printable(path)}: has neither a fit.json nor an instrument.json; give such a folder")
     digest = hashlib.sha256(read_file(file, LARGEST_INSTRUMENT, ParameterError)).hexdigest()
-    content = load_json(file, Any, LARGEST_INSTRUMENT, KIND, f"give {KIND}")
-    if isinstance(content, dict) and content.get("kind") == "instrument":
+    if is_instrument(file, "give one of them"):
         return Source({midi: key.note for midi, key in load_instrument(file).keys.items()}, digest)
     note, _ = load_note(file)
     return Source({round(midi_of(float(note.f0))): note}, digest)

@@ -222,18 +222,17 @@ def _is_complete(path: Path, block: _Block) -> bool:
 
 def _commit(path: Path, key: str, files: dict[str, bytes]) -> None:
     """Write the files of a block as one folder, in one step."""
-    new, target = path / BLOCKS / f".{key}", path / BLOCKS / key
+    target, new, old = (path / BLOCKS / name for name in (key, f".{key}", f".{key}.old"))
     try:
         new.mkdir()
         for name, content in files.items():
             (new / name).write_bytes(content)
         if target.exists():
-            target.rename(path / BLOCKS / f".{key}.old")
+            target.rename(old)
         new.rename(target)
-        shutil.rmtree(path / BLOCKS / f".{key}.old", ignore_errors=True)
-    except OSError as error:
-        shutil.rmtree(new, ignore_errors=True)
-        raise write_error(target, error, "choose another --out") from None
+    finally:
+        for unfinished in (new, old):
+            shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _write_table(path: Path, record: DatasetFile) -> None:
@@ -279,7 +278,12 @@ def _files(block: _Block) -> dict[str, bytes]:
     prior = NotePrior(record.options, load_source(record.options), record.seed)
     made = make_block(prior, block.numbers)
     names = [_name(one, record) for one in made]
-    files = _archive(made) if record.format == "npz" else _sounds(made, names, record.format)
+    if record.format == "npz":
+        files = {names[0]: _archive(made)}
+    elif record.format == "wav":
+        files = {name: encode_wav(one.samples, one.rate) for name, one in zip(names, made, strict=True)}
+    else:
+        files = {name: encode_pcm(one.samples[None], one.rate, "flac") for name, one in zip(names, made, strict=True)}
     text = io.StringIO()
     table = csv.DictWriter(text, [column.name for column in record.columns], lineterminator="\n")
     table.writeheader()
@@ -296,14 +300,7 @@ def _name(one: LabelledNote, record: DatasetFile) -> str:
     return f"{one.number:07}{layer}.{record.format}"
 
 
-def _sounds(made: list[LabelledNote], names: list[str], kind: str) -> dict[str, bytes]:
-    def encoded(one: LabelledNote) -> bytes:
-        return encode_wav(one.samples, one.rate) if kind == "wav" else encode_pcm(one.samples[None], one.rate, "flac")
-
-    return {name: encoded(one) for name, one in zip(names, made, strict=True)}
-
-
-def _archive(made: list[LabelledNote]) -> dict[str, bytes]:
+def _archive(made: list[LabelledNote]) -> bytes:
     """Return the sounds of a block as one archive: `samples` [sounds, samples], `number`, `layer` [sounds], `rate`."""
     stream = io.BytesIO()
     arrays = {
@@ -313,4 +310,4 @@ def _archive(made: list[LabelledNote]) -> dict[str, bytes]:
         "rate": np.array(made[0].rate),
     }
     np.savez(stream, **arrays)
-    return {"notes.npz": stream.getvalue()}
+    return stream.getvalue()

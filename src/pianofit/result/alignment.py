@@ -18,11 +18,6 @@ NOISE_SECONDS = 0.02
 ALIGNED_SECONDS = 0.05
 
 
-def contact_onset(note: Note, gain: float | None, recording: Recording) -> int | None:
-    """Sample index of the first contact in a recording of known gain; None if the onset determines it."""
-    return None if gain is None else round(align_attack(note._replace(gain=gain), recording))
-
-
 def estimate_contact_onset(note: Note, strike: Simulation, recording: Recording) -> int:
     """Sample index of the first contact, chosen so that the simulated stroke has the onset of the recording.
 

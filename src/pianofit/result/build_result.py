@@ -5,15 +5,13 @@ from __future__ import annotations
 from ..inference import InferenceResult
 from ..schema.fit import Fit, package_versions
 from ..threads import one_blas_thread
-from .alignment import contact_onset
-from .comparison import compare_recordings, pool_level_errors, worse_bands
+from .comparison import compare_recordings, pool_level_errors
 from .correlations import strong_correlations
 from .derived_table import with_derived
-from .diagnostics import diagnostics_of
 from .draws import draws_of
 from .estimates import invariants, parameters, stroke_velocities
-from .minima import covariance_of, minima_of, notes_of
-from .records import derived_of, pickup_of, records_of
+from .minima import minima_of, notes_of
+from .records import derived_of, diagnostics_of, pickup_of, records_of
 from .result import Result
 from .statement import identifiability_statement
 from .statuses import statuses
@@ -22,27 +20,17 @@ from .warnings import fit_warnings
 
 @one_blas_thread()
 def build_result(fit: InferenceResult) -> Result:
-    """Build sounds, quantities and sentences from an inference.
-
-    Raises
-    ------
-    FitError
-        If an initial or a final contact does not end.
-    """
+    """Build sounds, quantities and sentences from an inference; a `FitError` if a contact does not end."""
     problem, initial, found = fit.problem, fit.problem.initial_values, fit.estimate.minima
     by_minimum = [notes_of(fit, which) for which in range(len(found.nll))]
     minima = minima_of(fit, by_minimum)
-    correlation = covariance_of(fit, 0).of_shared(problem.velocity_scale_free).normalised
-    gain = None if initial.scale is None else 1.0 / initial.scale
-    contacts = [contact_onset(note, gain, own) for own, note in zip(problem.recordings, by_minimum[0], strict=True)]
-    recordings = compare_recordings(fit, by_minimum[0], contacts)
+    recordings = compare_recordings(fit, by_minimum[0])
     notes = tuple(
         tuple(note._replace(gain=recording.fitted.note.gain) for note, recording in zip(own, recordings, strict=True))
         for own in by_minimum
     )
-    reference, errors = recordings[problem.reference], [recording.levels.fitted_db for recording in recordings]
-    levels, worse = pool_level_errors([recording.levels for recording in recordings]), worse_bands(reference.criterion)
-    states, correlated = statuses(fit), strong_correlations(fit, correlation)
+    reference, levels = recordings[problem.reference], pool_level_errors([own.levels for own in recordings])
+    states, correlated = statuses(fit), strong_correlations(fit)
     velocities = stroke_velocities(fit, states)
     records = records_of(problem, recordings, velocities)
     record = Fit(
@@ -55,7 +43,7 @@ def build_result(fit: InferenceResult) -> Result:
         pickup=pickup_of(initial.quantity, recordings, records),
         derived=derived_of(reference),
         identifiability_statement=identifiability_statement(fit, states, levels, correlated),
-        warnings=fit_warnings(fit, states, correlated, worse, errors),
+        warnings=fit_warnings(fit, states, correlated, recordings),
         invariants=invariants(fit, states),
         parameters=parameters(fit, states, velocities[problem.structure.stroke[problem.reference]]),
         minima=minima,

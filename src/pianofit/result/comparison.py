@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,8 +26,9 @@ from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording.recording import Recording
 from ..schema.fit import BandValue, Criterion, LevelErrors
-from .alignment import estimate_contact_onset
+from .alignment import align_attack, estimate_contact_onset
 from .fitted_recording import FittedRecording, RenderedFit
+from .minima import note_at
 
 # Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
@@ -46,18 +48,20 @@ def audible_partials(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """A recording with the cells of the paper's criterion, on which other sounds of its length are compared with it."""
+    """A recording, and the comparison of other sounds of its length with it."""
 
     recording: Recording
     analysis: Analysis
     scale: float | None  # pickup unit at full scale; None if unknown
-    cells: SpectralCells
-    energy: np.ndarray  # |S|² of the recording [partials, nodes]
 
-    @classmethod
-    def of(cls, recording: Recording, analysis: Analysis, scale: float | None) -> RecordingComparison:
-        """The comparison with one recording."""
-        return cls(recording, analysis, scale, *_measured(recording.samples, recording, analysis))
+    @cached_property
+    def _recorded(self) -> tuple[SpectralCells, np.ndarray]:
+        return self._measure(self.recording.samples)
+
+    def _measure(self, samples: np.ndarray) -> tuple[SpectralCells, np.ndarray]:
+        """Cells of the recording, and |Y|² on them of a sound aligned with it [partials, nodes]."""
+        onset, rate, a = self.recording.onset, self.recording.rate, self.analysis
+        return measure(samples[onset:], rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
     @property
     def level(self) -> np.ndarray:
@@ -81,8 +85,12 @@ class RecordingComparison:
 
     def energy_and_gain(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
         """|Y|² of a sound on the cells [partials, nodes], and the square of its best gain by eq. 19."""
-        energy = _measured(samples, self.recording, self.analysis)[1]
-        return energy, closed_form_gain(energy, self.energy, self.cells.spacing[:, None])
+        (cells, recorded), (_, energy) = self._recorded, self._measure(samples)
+        return energy, closed_form_gain(energy, recorded, cells.spacing[:, None])
+
+    def contact(self, note: Note) -> int | None:
+        """Sample index of the first contact, by alignment of the attack; None if the onset determines it."""
+        return None if self.gain is None else round(align_attack(note._replace(gain=self.gain), self.recording))
 
     def render(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> RenderedFit:
         """Render a note aligned with the recording.
@@ -123,24 +131,20 @@ class RecordingComparison:
 
         In an uncalibrated recording each sound has its best gain by the criterion.
         """
+        cells, recorded = self._recorded
 
         def values_of(sound: RenderedFit) -> dict[str, float]:
             energy, gain_squared = self.energy_and_gain(sound.samples)
-            return band_values((gain_squared if self.scale is None else 1.0) * energy, self.energy, self.cells.spacing)
+            return band_values((gain_squared if self.scale is None else 1.0) * energy, recorded, cells.spacing)
 
         before, after, number = values_of(initial), values_of(fitted), self.analysis.partials.number
         occupied = {"global", *(BANDS[b] for b in band_of(number))}
         return Criterion(
             bands={name: BandValue(before[name], after[name]) for name in before if name in occupied},
             excluded_bands=tuple(name for name in BANDS if name not in occupied),
-            sigma=self.cells.sigma,
+            sigma=cells.sigma,
             borders=band_borders(self.analysis.f0, self.analysis.B, int(number.max())),
         )
-
-
-def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[SpectralCells, np.ndarray]:
-    """Cells of a recording, and |Y|² on them of a sound aligned with it [partials, nodes]."""
-    return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), damping_for(a.f0))
 
 
 def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
@@ -155,18 +159,8 @@ def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
     return LevelErrors(initial, fitted, rms(reference) if len(reference) == len(levels) else None, int(count.sum()))
 
 
-def compare_recordings(
-    fit: InferenceResult, notes: Sequence[Note], contacts: Sequence[int | None]
-) -> tuple[FittedRecording, ...]:
-    """Compare every recording with the initial values and with its note at the best minimum.
-
-    `contacts` are the sample indices of the first contacts; the onset determines them where they are None.
-
-    Raises
-    ------
-    FitError
-        If an initial or a final contact does not end.
-    """
+def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
+    """Compare every recording with the initial values and with its note at the best minimum."""
     problem, columns, integrated = fit.problem, fit.problem.observed.number, fit.latent(0)
     start = fit.initial_theta.copy()
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
@@ -175,26 +169,17 @@ def compare_recordings(
     has_reference = problem.parametrisation.law.has_contact and not problem.calibrated
     reference_hammer = fit.reference_hammer_level if has_reference else None
     compared = []
-    for i, (begins, note) in enumerate(zip(contacts, notes, strict=True)):
-        recording = problem.recordings[i]
-        comparison = RecordingComparison.of(recording, problem.analyses[i], problem.initial_values.scale)
+    for i, note in enumerate(notes):
+        comparison = RecordingComparison(problem.recordings[i], problem.analyses[i], problem.initial_values.scale)
+        begins = comparison.contact(note)
         # The uncertainty of the onset affects the lowest partial least.
         gain = 10 ** (integrated.columns[i][0] / 20) if comparison.gain is None else comparison.gain
         after = comparison.render(note, float(gain), begins, comparison.levels_at_partials(fitted[i], columns))
         # The initial sound has its best gain by the criterion, since its overall level is not compared.
-        before = comparison.render(
-            _note_at(fit, start, i), comparison.gain, begins, comparison.levels_at_partials(initial[i], columns)
-        )
+        first = note_at(problem, start, problem.structure.stroke[i])
+        before = comparison.render(first, comparison.gain, begins, comparison.levels_at_partials(initial[i], columns))
         levels = [before.level, after.level]
         levels += [] if reference_hammer is None else [comparison.levels_at_partials(reference_hammer[i], columns)]
         errors = comparison.level_errors(*map(comparison.add_noise_floor, levels))
         compared.append(comparison.compare(before, after, errors))
     return tuple(compared)
-
-
-def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
-    """The note of recording `i` at parameters `z` [size], without an output path."""
-    u, problem = fit.problem.parametrisation, fit.problem
-    hammer = u.hammer(z, problem.structure.stroke[i])
-    geometry = u.geometry_at(z, problem.structure.stroke[i])
-    return Note(u.string(z), hammer, geometry, problem.initial_values.quantity, 1.0, None)

@@ -9,7 +9,7 @@ import numpy as np
 from ..conversions import HALF_WIDTH_95
 from ..inference import InferenceResult
 from ..io.number_format import format_relative_uncertainty, with_half_interval
-from ..schema.quantities import Covariance
+from .minima import covariance_of
 
 # Correlations of two logarithms beyond this are listed.
 STRONG_CORRELATION = 0.99
@@ -24,8 +24,9 @@ class StrongCorrelation(NamedTuple):
     best_combination: str  # that the recordings determine, with its uncertainty
 
 
-def strong_correlations(fit: InferenceResult, correlation: Covariance) -> tuple[StrongCorrelation, ...]:
-    """The pairs of parameters whose correlation exceeds `STRONG_CORRELATION`, from the correlations of all."""
+def strong_correlations(fit: InferenceResult) -> tuple[StrongCorrelation, ...]:
+    """The pairs of parameters whose correlation exceeds `STRONG_CORRELATION`."""
+    correlation = covariance_of(fit, 0).of_shared(fit.problem.velocity_scale_free).normalised
     names, r = correlation.names, correlation.matrix
     return tuple(
         StrongCorrelation(names[j], names[i], float(r[i, j]), _best_combination(fit, names[j], names[i]))

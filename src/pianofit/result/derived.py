@@ -163,33 +163,42 @@ class DrawSet:
         return probes | {name: scale(best, self.law, SCALE) for name, scale in scaled.items()}
 
     @cached_property
-    def _points(self) -> list[tuple[dict[str, float], Note]]:
-        """Values and note of the best minimum, then of the probes, then of the draws."""
+    def draws(self) -> list[ModelDraw]:
+        """The best minimum, then the probes, then the draws."""
         count = max(map(len, self._drawn.values()))
         columns = {name: np.broadcast_to(values, count).tolist() for name, values in self._drawn.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         values = [self._best_values, *self._probes.values(), *(rows if self.fit.has_intervals else [])]
-        return [(one, _note(self.best, self._within_ranges(one))) for one in values]
+        return [ModelDraw(one, self._note(one), lambda i=i: self._strokes[i]) for i, one in enumerate(values)]
 
     @cached_property
     def _strokes(self) -> list[Simulation]:
-        """The strokes of all points, simulated together when the first is asked for."""
-        notes, own_rate = [note for _, note in self._points], self.fit.reference.rate
+        """The strokes of all draws, simulated together when the first is asked for."""
+        notes, own_rate = [draw.note for draw in self.draws], self.fit.reference.rate
         arrays, rate, cfg = strokes_arguments(notes, self.first or notes[0].strike(own_rate))
         done = simulations(run_in_batches(strokes, arrays, rate, cfg, BATCH_SIZE))
         # A contact that is much longer than the first is simulated alone.
         pairs = zip(done, notes, strict=True)
         return [one if one.pulse.contact_ended else note.strike(own_rate) for one, note in pairs]
 
-    @cached_property
-    def draws(self) -> list[ModelDraw]:
-        """The best minimum, then the probes, then the draws."""
-        return [ModelDraw(values, note, lambda i=i: self._strokes[i]) for i, (values, note) in enumerate(self._points)]
+    def _note(self, values: Mapping[str, float]) -> Note:
+        """Return the best note with other values of its parameters, the felt inside its ranges.
 
-    def _within_ranges(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values with the felt inside its ranges: probes and another scale of the velocities can leave them."""
-        boxes = self.law.parameters.items()
-        return {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
+        Probes and another scale of the velocities can leave the ranges.
+        """
+        boxes, note, g = self.law.parameters.items(), self.best, self.best.geometry
+        ranged = {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
+        width = values.get("width", g.width)
+        # The contact window stays on the string.
+        strike = min(max(values["x0"], width / 2), values["L"] - width / 2)
+        is_entry = "pickup" in self.law.columns
+        pickup = values.get("pickup", g.pickup) if is_entry else g.pickup * values["L"] / g.length
+        sizes = {"length": values["L"], "mass": values["M_S"], "strike_position": strike, "width": width}
+        return note._replace(
+            string=note.string._replace(**{name: values[name] for name in note.string._fields}),
+            hammer=note.hammer._replace(**{name: ranged[name] for name in note.hammer._fields if name in ranged}),
+            geometry=g._replace(**sizes, pickup=pickup),
+        )
 
     def evaluate(self, function: Callable[[ModelDraw], Any]) -> DerivedQuantity:
         """Return value, interval, status and draws of a function."""
@@ -250,22 +259,6 @@ def _log_sd(span: tuple[float, float]) -> float:
     """Return the standard deviation of the logarithm from a 95 % interval; infinite if it contains zero."""
     low, high = sorted(map(abs, span))
     return math.log(high / low) / (2 * HALF_WIDTH_95) if span[0] * span[1] > 0 else math.inf
-
-
-def _note(note: Note, values: Mapping[str, float]) -> Note:
-    """Return a note with other values of its parameters."""
-    string, hammer, g = note.string, note.hammer, note.geometry
-    width = values.get("width", g.width)
-    # The contact window stays on the string.
-    strike = min(max(values["x0"], width / 2), values["L"] - width / 2)
-    is_entry = "pickup" in law_of(hammer).columns
-    pickup = values.get("pickup", g.pickup) if is_entry else g.pickup * values["L"] / g.length
-    sizes = {"length": values["L"], "mass": values["M_S"], "strike_position": strike, "width": width}
-    return note._replace(
-        string=string._replace(**{name: values[name] for name in string._fields}),
-        hammer=hammer._replace(**{name: values[name] for name in hammer._fields if name in values}),
-        geometry=g._replace(**sizes, pickup=pickup),
-    )
 
 
 # --- scalings that change no sound ------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
 from .derived import DrawSet, ModelDraw
 from .result import Result
@@ -31,7 +30,9 @@ def derived_quantities(draws: DrawSet) -> Quantities:
     fit = draws.fit
     u, method = fit.derived.reference_compression_mm, "laplace" if draws.sampled is None else "posterior"
     table = _of_contact(u) if draws.law.has_contact else {}
-    table |= {f"{T60}{k}": ("s", lambda draw, k=k: draw.t60(k)) for k in _octaves(fit)}
+    last = int(fit.reference.partials.number.max())
+    octaves = [2**i for i in range(last.bit_length())]  # the law is smooth in between
+    table |= {f"{T60}{k}": ("s", lambda draw, k=k: draw.t60(k)) for k in octaves}
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
         found = draws.evaluate(function)
@@ -62,9 +63,3 @@ def with_force_interval(draws: DrawSet) -> Quantities:
         return invariants
     found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
     return Quantities.of([*({**invariants, "F/M_S": replace(own, interval=found.interval)}).values()])
-
-
-def _octaves(fit: Fit) -> list[int]:
-    """Return the partials 1, 2, 4 and so on; the law is smooth in between."""
-    last = int(fit.reference.partials.number.max())
-    return [2**i for i in range(last.bit_length())]

@@ -12,7 +12,7 @@ import math
 import re
 import struct
 import zipfile
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,6 @@ class Draws(Mapping[str, np.ndarray]):
     """
 
     entries: dict[str, np.ndarray]  # [chains, draws] each
-    invariants: tuple[str, ...] = ()  # names of `entries` that are not parameters
     # Log density of each observation given all others, by kind [chains, draws, observations].
     log_likelihood: dict[str, np.ndarray] = field(default_factory=dict)
     observed: dict[str, ObservedValues] = field(default_factory=dict)
@@ -75,13 +74,7 @@ class Draws(Mapping[str, np.ndarray]):
         return f"Draws of {', '.join(self.entries)}: {chains} chains of {count}"
 
     def to_arviz(self) -> Any:
-        """The draws for ArviZ; see `Result.to_arviz`.
-
-        Raises
-        ------
-        OutputError
-            If ArviZ is not installed.
-        """
+        """The draws for ArviZ; see `Result.to_arviz`."""
         arviz = require_optional("arviz_base", "draws for ArviZ")
         groups: dict[str, dict[str, np.ndarray]] = {
             # A name in a tree of xarray must not contain a slash.
@@ -127,7 +120,7 @@ def draws_of(fit: InferenceResult, record: Fit) -> Draws | None:
         stiffness, p = (felt[u.names[i]] for i in u.force_and_exponent_index or ())
         table["F/M_S"] = stiffness * u.law.power_base(u.reference_compression, felt) ** p / mass
     varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
-    return Draws({**draws, **varying}, tuple(varying), view.log_likelihood, view.observed)
+    return Draws({**draws, **varying}, view.log_likelihood, view.observed)
 
 
 def encode_draws(draws: Draws) -> bytes:
@@ -146,13 +139,10 @@ def _little_endian(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, "<i8" if values.dtype.kind in "iu" else "<f8")
 
 
-def read_draws(entry: DrawsFile | None, folder: Path, invariants: Container[str]) -> Draws | None:
+def read_draws(entry: DrawsFile | None, folder: Path) -> Draws | None:
     """Read the draws in a `folder` that `entry` of its fit describes; None without entry or file.
 
-    Raises
-    ------
-    FitError
-        If the file is not the one that was saved with this fit, or does not hold draws.
+    Raises `FitError` if the file is not the one that was saved with this fit, or does not hold draws.
     """
     path = folder / DRAWS_FILE  # a fit cannot name another file
     if entry is None or not path.exists():
@@ -161,14 +151,13 @@ def read_draws(entry: DrawsFile | None, folder: Path, invariants: Container[str]
     if hashlib.sha256(data).hexdigest() != entry.sha256:
         raise FitError(f"{printable(path)}: is not the file that was saved with this fit (SHA-256); {_HINT}")
     try:
-        tables = _tables(data)
-        return _draws(tables, invariants)
+        return _draws(_tables(data))
     except BROKEN as problem:
         reason = printable(problem) or type(problem).__name__
         raise FitError(f"{printable(path)}: does not hold draws ({reason}); {_HINT}") from None
 
 
-def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Container[str]) -> Draws:
+def _draws(tables: dict[str, dict[str, np.ndarray]]) -> Draws:
     values, likelihood = tables.pop("posterior", {}), tables.pop("log_likelihood", {})
     shapes = {array.shape for array in values.values()}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or not math.prod(shape):
@@ -183,7 +172,7 @@ def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Container[str])
     arrays = [*values.values(), *likelihood.values(), *(x for data in observed.values() for x in data)]
     if not all(np.isfinite(array).all() for array in arrays):
         raise ValueError("a number is not finite")
-    return Draws(values, tuple(name for name in values if name in invariants), likelihood, observed)
+    return Draws(values, likelihood, observed)
 
 
 def _tables(data: bytes) -> dict[str, dict[str, np.ndarray]]:

@@ -70,10 +70,8 @@ def parameters(fit: InferenceResult, states: Statuses, velocity: Quantity) -> Qu
         interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i)) if u.free[i] else None
         quantity = Quantity(name, value, unit, None, status, meaning, note, float(start.initial[name]))
         table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
-    last = len(PARAMETER_ORDER)
-    order = sorted(table, key=lambda name: PARAMETER_ORDER.index(name) if name in PARAMETER_ORDER else last)
-    others = [quantity for quantity in sizes(start) if quantity.name not in table]
-    return Quantities.of([*(table[name] for name in order), *(_size(fit, quantity) for quantity in others)])
+    ordered = [table[name] for name in dict.fromkeys((*PARAMETER_ORDER, *table)) if name in table]
+    return Quantities.of([*ordered, *(_size(fit, size) for size in sizes(start) if size.name not in table)])
 
 
 def _size(fit: InferenceResult, quantity: Quantity) -> Quantity:
@@ -119,7 +117,7 @@ def _places(fit: InferenceResult, states: Statuses) -> list[Quantity]:
         value = float(np.exp(fit.posterior.mean[0, at])) / length
         note = file if u.strokes > 1 else ""
         quantity = _combined(name, fit.posterior, np.eye(u.size)[at] - over, value, "1", {"x0": state}, note)
-        table.append(replace(quantity, meaning=f"{fit.problem.parametrisation.law.words.stroke} over string length"))
+        table.append(replace(quantity, meaning=f"{u.law.words.stroke} over string length"))
     table.sort(key=lambda quantity: quantity.name)
     return [*table, *(_ratio(fit, states, f"{n}/L", n, "L") for n in ("pickup", "width") if n in u.reported)]
 

@@ -14,30 +14,25 @@ from ..dsp.knock_band import centre
 from ..inference import KNOCK, LOG_ABSENT_LOSS, STRING_SIZE, FitProblem, InferenceResult, LatentPosterior, string_law
 from ..model.note import Note
 from ..model.output_path import OutputPath, VelocityDiscrepancy
-from ..schema.fit import Minimum, VelocityDiscrepancyEntry
+from ..schema.fit import Minimum, PathEntry
 from ..schema.quantities import Covariance
 
 
 def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
     problem, z, latent = fit.problem, fit.estimate.minima.candidates.theta[which], fit.latent(which)
-    u, group = problem.parametrisation, problem.structure.group
-    paths = [
-        _path(problem, z, index, latent) if problem.has_unknown_path else None
-        for index in range(problem.structure.groups)
-    ]
-    f0, string = problem.analyses[problem.reference].f0, u.string(z)
-    return [
-        Note(
-            string._replace(c=string.c * analysis.f0 / f0),
-            u.hammer(z, stroke),
-            u.geometry_at(z, stroke),
-            problem.initial_values.quantity,
-            1.0,
-            paths[path],
-        )
-        for analysis, stroke, path in zip(problem.analyses, problem.structure.stroke, group, strict=True)
-    ]
+    layout, f0, notes = problem.structure, problem.analyses[problem.reference].f0, []
+    paths = [_path(problem, z, i, latent) if problem.has_unknown_path else None for i in range(layout.groups)]
+    for analysis, stroke, group in zip(problem.analyses, layout.stroke, layout.group, strict=True):
+        note = note_at(problem, z, stroke, paths[group])
+        notes.append(note._replace(string=note.string._replace(c=note.string.c * analysis.f0 / f0)))
+    return notes
+
+
+def note_at(problem: FitProblem, z: np.ndarray, stroke: int, path: OutputPath | None = None) -> Note:
+    """The note of a stroke at parameters `z` [size], at the pitch of the reference recording and without a gain."""
+    u = problem.parametrisation
+    return Note(u.string(z), u.hammer(z, stroke), u.geometry_at(z, stroke), problem.initial_values.quantity, 1.0, path)
 
 
 def _path(problem: FitProblem, theta: np.ndarray, group: int, latent: LatentPosterior) -> OutputPath:
@@ -70,7 +65,7 @@ def minima_of(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mi
     u, minima, records = fit.problem.parametrisation, fit.estimate.minima, []
     for b, weight in enumerate(fit.posterior.weight):
         log = dict(zip(u.names, fit.posterior.mean[b], strict=False))
-        path = notes[b][fit.problem.reference].path
+        path = PathEntry.of(notes[b][fit.problem.reference].path)
         records.append(
             Minimum(
                 weight=float(weight),
@@ -78,7 +73,7 @@ def minima_of(fit: InferenceResult, notes: Sequence[Sequence[Note]]) -> tuple[Mi
                 parameters={n: u.value(n, log[n]) for n in u.reported if log[n] > LOG_ABSENT_LOSS},
                 stroke_values=np.exp(minima.candidates.theta[b, u.velocities]),
                 path_db=None if path is None else path.db,
-                path_velocity_discrepancy=VelocityDiscrepancyEntry.of(path and path.velocity_discrepancy),
+                path_velocity_discrepancy=None if path is None else path.velocity_discrepancy,
                 covariance=covariance_of(fit, b),
             )
         )

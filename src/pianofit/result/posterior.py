@@ -84,12 +84,7 @@ class Mixture:
 
 
 def joint_draws(fit: Fit, law: Excitation, sampled: Mapping[str, np.ndarray] | None = None) -> JointDraws:
-    """Return draws of the posterior of a fit.
-
-    Parameters
-    ----------
-    sampled : posterior draws by name [chains, draws], if the fit has them.
-    """
+    """Return draws of the posterior of a fit, from the mixture or from those of a sampler [chains, draws] by name."""
     fixed = {name: np.array([quantity.value]) for name, quantity in fit.parameters.items()}
     if sampled is not None:
         count = next(iter(sampled.values())).size

@@ -1,18 +1,23 @@
-"""The records of the recordings of a fit, and what follows from them: the output paths and the derived values."""
+"""The records of a fit: its recordings, the output paths and values that follow from them, and the diagnostics."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ..analysis import cents_above
 from ..conversions import midi_of
-from ..inference import FitProblem
+from ..inference import KNOCK, FitProblem, InferenceResult
 from ..literature import reference_compression
+from ..schema.decode import convert
 from ..schema.derived import Derived, GlideWindow, Recontact
+from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
 from ..schema.fit import PartialLevels, PathEntry, Pickup, RecordingFit
 from ..schema.quantities import Quantity
+from .correlations import StrongCorrelation
 from .fitted_recording import FittedRecording
 
 
@@ -22,10 +27,8 @@ def records_of(
     """The records of all recordings; `velocities` are those of the strokes."""
     layout, f0 = problem.structure, problem.analyses[problem.reference].f0
     return tuple(
-        record_of(
-            recording,
-            velocities[stroke],
-            problem.calibrated,
+        replace(
+            record_of(recording, velocities[stroke], problem.calibrated),
             is_reference=i == problem.reference,
             pitch_offset_cents=cents_above(recording.analysis.f0, f0),
             path_group=group,
@@ -36,18 +39,8 @@ def records_of(
     )
 
 
-def record_of(
-    fitted: FittedRecording,
-    velocity: Quantity,
-    calibrated: bool,
-    *,
-    is_reference: bool = True,
-    pitch_offset_cents: float = 0.0,
-    path_group: int = 0,
-    stroke: int = 0,
-    midi_velocity: float | None = None,
-) -> RecordingFit:
-    """The record of one recording; `velocity` is that of its stroke."""
+def record_of(fitted: FittedRecording, velocity: Quantity, calibrated: bool) -> RecordingFit:
+    """The record of a recording that is fitted alone; `velocity` is that of its stroke."""
     source, table = fitted.recording, fitted.partials
     return RecordingFit(
         file=source.path,
@@ -62,16 +55,15 @@ def record_of(
         note=fitted.analysis.note,
         gain=fitted.fitted.note.gain,
         gain_status="given" if calibrated else "fitted",
-        is_reference=is_reference,
-        pitch_offset_cents=pitch_offset_cents,
-        path_group=path_group,
-        stroke=stroke,
+        is_reference=True,
+        pitch_offset_cents=0.0,
+        path_group=0,
+        stroke=0,
         criterion=fitted.criterion,
         levels=fitted.levels,
         partials=PartialLevels(
             table.number, fitted.level, table.level_error, fitted.initial.level, fitted.fitted.level
         ),
-        midi_velocity=midi_velocity,
     )
 
 
@@ -95,4 +87,29 @@ def derived_of(fitted: FittedRecording) -> Derived:
         recontacts=tuple(map(Recontact.of, simulation.contacts[1:])),
         glide_cents=float(analysis.glide_cents),
         glide=tuple(GlideWindow(*window) for window in analysis.glide),
+    )
+
+
+def diagnostics_of(fit: InferenceResult, correlated: Sequence[StrongCorrelation]) -> Diagnostics:
+    """The diagnostics of a fit; `correlated` are the pairs that the recordings do not distinguish."""
+    problem, minima = fit.problem, fit.estimate.minima
+    (sigma, smooth, octaves, floor, walk), *strings = (np.exp(x[0]).tolist() for x in minima.candidates.phi)
+    cents, decay = (float(np.hypot(*hyper[:2])) for hyper in strings)
+    other: dict[str, Any] = {} if fit.alternative is None else fit.alternative.diagnostics
+    where = ("diagnostics", "this is an error in pianofit")
+    return Diagnostics(
+        evaluations=fit.estimate.n_strokes_computed,
+        partials=int(np.asarray(problem.observed.level.detected)[:, problem.observed.number != KNOCK].sum()),
+        correlated=tuple(Correlation((pair.first, pair.second), pair.correlation) for pair in correlated),
+        negative_log_posterior=float(minima.nll[0]),
+        censored=len(problem.observed.level.censored),
+        contact_rate_Hz=float(problem.model_inputs.rate),
+        modes=problem.cfg.n_modes,
+        steps=int(problem.model_inputs.steps),
+        excess_sd=ExcessSd(frequency_cents=cents, decay_relative=decay, level_db=sigma),
+        path=PathPrior(smooth, octaves) if problem.has_unknown_path else None,
+        interference_ratio=floor,
+        velocity_discrepancy_db=walk if len({*problem.structure.stroke}) > 1 else None,
+        profile=convert(other["profile"], dict[str, ProfileCurve], *where) if "profile" in other else None,
+        posterior=convert(other["posterior"], PosteriorDiagnostics, *where) if "posterior" in other else None,
     )

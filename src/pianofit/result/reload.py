@@ -17,7 +17,6 @@ from ..recording.recording import Recording, Source, to_recording
 from ..schema.fit import Fit, RecordingFit
 from ..schema.notes import initial_note
 from ..threads import one_blas_thread
-from .alignment import contact_onset
 from .comparison import RecordingComparison
 from .fitted_recording import FittedRecording
 
@@ -26,14 +25,7 @@ from .fitted_recording import FittedRecording
 def reload_recordings(fit: Fit, notes: Sequence[Note], sources: Sequence[Source] = ()) -> tuple[FittedRecording, ...]:
     """The recordings of a fit, read from their stored paths or from `sources`, in their order.
 
-    Parameters
-    ----------
-    notes : notes of the best minimum, one for each recording.
-
-    Raises
-    ------
-    FitError
-        If a file is missing or is not the one that was fitted; the message names it.
+    `notes` are those of the best minimum. Raises `FitError` if a file is missing or is not the one that was fitted.
     """
     records = fit.recordings
     if sources and len(sources) != len(records):
@@ -87,10 +79,10 @@ def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, 
     record, note = fit.recordings[index], notes[index]
     stored = record.partials
     gain = float(note.gain) if record.gain_status == "given" else None
-    comparison = RecordingComparison.of(recording, analysis, None if gain is None else 1.0 / gain)
+    comparison = RecordingComparison(recording, analysis, None if gain is None else 1.0 / gain)
     measured = comparison.levels_at_partials(stored.measured, stored.number)
     plain = note._replace(gain=1.0, modal_response=None)
-    begins = contact_onset(plain, gain, recording)
+    begins = comparison.contact(plain)
     level = comparison.levels_at_partials(stored.initial, stored.number)
     initial = replace(comparison.render(initial_note(fit, record, note), gain, begins, level), level=level)
     level = comparison.levels_at_partials(stored.fitted, stored.number)

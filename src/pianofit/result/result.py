@@ -20,7 +20,7 @@ from ..model.note import Note
 from ..recording.recording import Recording, Source
 from ..schema.decode import builtins_of
 from ..schema.fit import Fit, fit_path, read_fit
-from ..schema.notes import notes_of_minima, notes_of_recordings
+from ..schema.notes import notes_of_fit
 from ..schema.quantities import Covariance, Quantities
 from .derived import DerivedQuantity, DrawSet, ModelDraw
 from .draws import DRAWS_FILE, Draws, read_draws
@@ -394,6 +394,6 @@ class Result:
         ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
-        fit, name = read_fit(path), printable(path)
-        notes = notes_of_recordings(fit, notes_of_minima(fit, path.parent, name, felt), name)
-        return cls(fit, (), notes, read_draws(fit.draws, path.parent, fit.invariants), path.parent)
+        fit = read_fit(path)
+        notes = notes_of_fit(fit, path.parent, printable(path), felt)
+        return cls(fit, (), notes, read_draws(fit.draws, path.parent), path.parent)

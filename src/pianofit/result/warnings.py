@@ -15,7 +15,9 @@ from ..inference.parametrisation import Parametrisation
 from ..io.files import printable
 from ..recording.recording import Recording
 from ..schema.quantities import unit_of
+from .comparison import worse_bands
 from .correlations import StrongCorrelation
+from .fitted_recording import FittedRecording
 from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
@@ -44,24 +46,16 @@ def fit_warnings(
     fit: InferenceResult,
     states: Statuses,
     correlated: Sequence[StrongCorrelation],
-    worse: Sequence[str],
-    errors: Sequence[float],
+    compared: Sequence[FittedRecording],
 ) -> tuple[str, ...]:
-    """All warnings of a fit.
-
-    Parameters
-    ----------
-    correlated : the pairs of parameters that the recordings do not distinguish.
-    worse : bands in which eq. 19 did not decrease.
-    errors : rms level error of every recording, dB.
-    """
-    problem = fit.problem
+    """All warnings of a fit; `compared` are its recordings with their sounds."""
+    problem, worse = fit.problem, worse_bands(compared[fit.problem.reference].criterion)
     sections = (
         [] if fit.estimate.minima.converged[0] else [NOT_CONVERGED],
         contradictory_velocities(fit) if problem.parametrisation.law.has_contact else [],
         literature_warnings(fit),
         _mixture_warning(fit),
-        outlier_warnings(problem, errors),
+        outlier_warnings(problem, [recording.levels.fitted_db for recording in compared]),
         [NOT_MINIMISED.format(", ".join(worse))] if worse else [],
         _bound_warning(fit, states),
         _correlation_warnings(correlated),

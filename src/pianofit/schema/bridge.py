@@ -22,30 +22,14 @@ LITERATURE_SD = 0.7
 
 @dataclass(frozen=True)
 class BridgeAdmittance:
-    """Real part of the driving-point admittance of the bridge over frequency, s/kg. The default is the literature's.
+    """Real part of the driving-point admittance of the bridge over frequency, s/kg. The default is the literature's."""
 
-    Parameters
-    ----------
-    hz : frequencies, ascending, Hz.
-    value : admittances at these frequencies, s/kg.
-    low, high : ends of their 95 % intervals, s/kg.
-    source : what determined them.
-    partials : number of measured partials.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from pianofit.schema.bridge import BridgeAdmittance
-    >>> BridgeAdmittance().at(np.array([440.0]))
-    array([0.001])
-    """
-
-    hz: tuple[Hertz, ...] = (1000.0,)
+    hz: tuple[Hertz, ...] = (1000.0,)  # ascending
     value: tuple[Admittance, ...] = (LITERATURE,)
-    low: tuple[Admittance, ...] = (2.5e-4,)
+    low: tuple[Admittance, ...] = (2.5e-4,)  # ends of the 95 % intervals
     high: tuple[Admittance, ...] = (4e-3,)
     source: Literal["literature", "recordings"] = "literature"
-    partials: int = 0
+    partials: int = 0  # number of measured partials
 
     def __post_init__(self) -> None:
         if len({len(self.hz), len(self.value), len(self.low), len(self.high)}) != 1 or not self.hz:

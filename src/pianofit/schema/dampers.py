@@ -33,43 +33,21 @@ class Dampers:
     """Decay rates that dampers add. The default is the law of the literature.
 
     The logarithm of the rate is linear in the key, and in the logarithm of frequency over the fundamental of the key.
-
-    Parameters
-    ----------
-    bass : rate at the fundamental of the lowest key, 1/s.
-    treble : rate at the fundamental of the last key with a damper, 1/s.
-    slope : exponent of the rate over frequency.
-    covariance : of log `bass`, log `treble` and `slope` [3][3].
-    source : what determined the law.
-    keys : MIDI numbers of the keys whose dampers were measured.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from pianofit.schema.dampers import Dampers
-    >>> Dampers().rates(60, np.array([261.6, 523.3])).round(1)
-    array([38.9, 46.3])
     """
 
-    bass: Rate = LITERATURE_DB_PER_S[0] / DB
-    treble: Rate = LITERATURE_DB_PER_S[1] / DB
-    slope: Annotated[float, Meta(ge=-3.0, le=3.0)] = LITERATURE_SLOPE
-    covariance: tuple[Row, Row, Row] = (
+    bass: Rate = LITERATURE_DB_PER_S[0] / DB  # at the fundamental of the lowest key, 1/s
+    treble: Rate = LITERATURE_DB_PER_S[1] / DB  # at the fundamental of the last key with a damper, 1/s
+    slope: Annotated[float, Meta(ge=-3.0, le=3.0)] = LITERATURE_SLOPE  # exponent of the rate over frequency
+    covariance: tuple[Row, Row, Row] = (  # of log `bass`, log `treble` and `slope`
         (LITERATURE_SD[0] ** 2, 0.0, 0.0),
         (0.0, LITERATURE_SD[1] ** 2, 0.0),
         (0.0, 0.0, LITERATURE_SD[2] ** 2),
     )
     source: Literal["literature", "recordings"] = "literature"
-    keys: tuple[int, ...] = ()
+    keys: tuple[int, ...] = ()  # MIDI numbers of the keys whose dampers were measured
 
     def rates(self, midi: int, hz: np.ndarray) -> np.ndarray:
-        """Return the rates that a damper adds when it rests fully on the string, 1/s; 0 for keys without damper.
-
-        Parameters
-        ----------
-        midi : MIDI number of the key.
-        hz : frequencies of modes, Hz [modes].
-        """
+        """Return the rates that a damper adds when it rests fully on the string, 1/s [modes]; 0 without a damper."""
         if midi > LAST_DAMPER:
             return np.zeros(len(hz))
         mean = np.array([math.log(self.bass), math.log(self.treble), self.slope])

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from ..errors import OutputError
-from .decode import Number, load_json
+from .decode import Number, load_record
 
-DATASET_FILE, DATASET_SCHEMA = "dataset.json", 1
+DATASET_FILE = "dataset.json"
 # Largest dataset.json, bytes.
 LARGEST_DATASET = 2**20
 HINT = "give the folder that pianofit dataset wrote, or another --out"
@@ -74,7 +74,7 @@ class DatasetFile:
     """The content of a `dataset.json`."""
 
     kind: Literal["dataset"] = "dataset"
-    schema: int = DATASET_SCHEMA
+    schema: int = 1
     pianofit: str  # version
     seed: Whole
     count: Whole  # notes
@@ -86,14 +86,5 @@ class DatasetFile:
 
 
 def read_dataset_file(path: str | os.PathLike[str]) -> DatasetFile:
-    """Read a `dataset.json`.
-
-    Raises
-    ------
-    OutputError
-        If the file is not a `dataset.json` of this schema. The message names the file and the entry.
-    """
-    record = load_json(path, DatasetFile, LARGEST_DATASET, "a dataset.json", HINT, OutputError)
-    if record.schema != DATASET_SCHEMA:
-        raise OutputError(f"{path}: is a data set of schema {record.schema}, not {DATASET_SCHEMA}; {HINT}")
-    return record
+    """Read a `dataset.json`; raise an `OutputError` for any other file, which names the file and the entry."""
+    return load_record(path, DatasetFile, LARGEST_DATASET, f"a {DATASET_FILE}", HINT, OutputError)

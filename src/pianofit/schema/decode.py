@@ -43,38 +43,38 @@ MISSING = re.compile(r"Object missing required field `(.+)`")
 
 
 def load_json(
+    path: str | os.PathLike[str], limit: int, what: str, hint: str, error: type[PianofitError] = FitError
+) -> Any:
+    """Return the content of a JSON file of at most `limit` bytes.
+
+    An `error` names the file and `what` it should be, and ends with the `hint`.
+    """
+    data = read_file(path, limit, error)
+    try:
+        return msgspec.json.decode(data)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as problem:
+        reason = printable(str(problem).splitlines()[0])
+        raise error(f"{printable(path)}: not {what} ({reason}); {hint}") from None
+
+
+def load_record(
     path: str | os.PathLike[str],
-    kind: type[T] | Any,
+    record: type[T],
     limit: int,
     what: str,
     hint: str,
     error: type[PianofitError] = FitError,
-) -> Any:
-    """Read a JSON file of at most `limit` bytes as a `kind`.
-
-    Raises
-    ------
-    PianofitError
-        `error`, if the file cannot be read, is not JSON or not a `kind`. The message names the file, the entry and
-        `what` the file should be, and ends with the `hint`.
-    """
-    data = read_file(path, limit, error)
-    try:
-        content = msgspec.json.decode(data)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as problem:
-        reason = printable(str(problem).splitlines()[0])
-        raise error(f"{printable(path)}: not {what} ({reason}); {hint}") from None
-    return convert(content, kind, printable(path), hint, error)
+) -> T:
+    """Read a JSON file as a `record`, whose kind and schema it must state; errors as of `load_json` and `convert`."""
+    content = load_json(path, limit, what, hint, error)
+    own = {name: getattr(record, name) for name in ("kind", "schema")}
+    if not isinstance(content, dict) or own != {name: content.get(name) for name in own}:
+        raise error(f"{printable(path)}: is not {what} of schema {own['schema']}; {hint}")
+    return convert(content, record, printable(path), hint, error)
 
 
 def convert(data: Any, kind: type[T], where: str, hint: str, error: type[PianofitError] = FitError) -> T:
-    """Return dicts and lists as a `kind`.
-
-    Raises
-    ------
-    PianofitError
-        `error`, beginning with `where` and the entry, and ending with the `hint`.
-    """
+    """Return dicts and lists as a `kind`. An `error` begins with `where` and the entry, and ends with the `hint`."""
     try:
         return msgspec.convert(data, kind, dec_hook=_decode)
     except (msgspec.ValidationError, RecursionError) as problem:

@@ -5,22 +5,19 @@ A batch writes it as `extras.json` in the folder of a key. An `instrument.json` 
 
 from __future__ import annotations
 
-import base64
 import os
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
-from ..errors import FitError
-from ..io.files import MAX_CHANNELS, encode_pcm, printable
-from .decode import Number, convert, load_json
-from .modal_response import decode_base64, decode_sound
+from ..io.files import MAX_CHANNELS
+from .decode import Number, load_record
+from .modal_response import decode_embedded, encode_embedded
 
 EXTRAS_FILE = "extras.json"
-EXTRAS_SCHEMA = 1
 # Largest extras.json, bytes.
 LARGEST_EXTRAS = 2**25
 # Largest number of frequencies of a noise floor.
@@ -67,33 +64,20 @@ class SoundEntry:
     def of(cls, samples: np.ndarray, rate: int, file: str = "") -> SoundEntry:
         """Return the entry of a sound [channels, samples]."""
         scale = float(np.abs(samples).max()) or 1.0
-        return cls(scale, base64.b64encode(encode_pcm(samples / scale, rate, "flac", 16)).decode(), file=file)
+        return cls(scale, encode_embedded(samples / scale, rate), file=file)
 
     def samples(self, where: str) -> tuple[np.ndarray, int]:
-        """Return the sound [channels, samples] and its rate, Hz.
-
-        Raises
-        ------
-        FitError
-            If it cannot be read. The message names `where` the entry is.
-        """
-        kind, text = ("flac", self.flac) if self.wav is None else ("wav", self.wav)
-        samples, rate = decode_sound(decode_base64(text, f"{where}.{kind}"), kind, f"{where}.{kind}")
+        """Return the sound [channels, samples] and its rate, Hz. A `FitError` names `where` the entry is."""
+        samples, rate = decode_embedded(self.flac, self.wav, where)
         return self.scale * samples, rate
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory.
+    """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory."""
 
-    Parameters
-    ----------
-    frequency : frequencies, ascending, Hz [frequencies].
-    density : power spectral density of each channel, file units² per Hz [channels][frequencies].
-    """
-
-    frequency: np.ndarray
-    density: tuple[np.ndarray, ...]
+    frequency: np.ndarray  # ascending, Hz [frequencies]
+    density: tuple[np.ndarray, ...]  # power spectral density of each channel, file units² per Hz
 
     def __post_init__(self) -> None:
         shapes = {self.frequency.shape, *(row.shape for row in self.density)}
@@ -132,7 +116,7 @@ class NoiseFloor:
 class KeyExtras:
     """Content of an `extras.json`."""
 
-    schema: int = EXTRAS_SCHEMA
+    schema: int = 1
     program: str = "pianofit"
     kind: Literal["extras"] = "extras"
     midi: KeyNumber
@@ -142,15 +126,5 @@ class KeyExtras:
 
 
 def read_extras(path: str | os.PathLike[str]) -> KeyExtras:
-    """Read an `extras.json`.
-
-    Raises
-    ------
-    FitError
-        If the file is not of this kind and schema. The message names the file and the entry.
-    """
-    content = load_json(path, Any, LARGEST_EXTRAS, f"an {EXTRAS_FILE}", HINT)
-    is_table = isinstance(content, dict)
-    if not is_table or (content.get("kind"), content.get("schema")) != ("extras", EXTRAS_SCHEMA):
-        raise FitError(f"{printable(path)}: is not an {EXTRAS_FILE} of schema {EXTRAS_SCHEMA}; {HINT}")
-    return convert(content, KeyExtras, printable(path), HINT)
+    """Read an `extras.json`; raise a `FitError` for any other file, which names the file and the entry."""
+    return load_record(path, KeyExtras, LARGEST_EXTRAS, f"an {EXTRAS_FILE}", HINT)

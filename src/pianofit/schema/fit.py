@@ -63,11 +63,6 @@ class VelocityDiscrepancyEntry:
                 "300 dB for every partial"
             )
 
-    @classmethod
-    def of(cls, discrepancy: VelocityDiscrepancy | None) -> VelocityDiscrepancyEntry | None:
-        """Return the entry of a discrepancy; None if there is none."""
-        return None if discrepancy is None else cls(discrepancy.velocity, discrepancy.db)
-
 
 @dataclass(frozen=True)
 class PathEntry:
@@ -93,7 +88,8 @@ class PathEntry:
         """Return the entry of a path; None if there is none."""
         if path is None:
             return None
-        return cls(path.frequency, path.db, VelocityDiscrepancyEntry.of(path.velocity_discrepancy))
+        own = path.velocity_discrepancy
+        return cls(path.frequency, path.db, None if own is None else VelocityDiscrepancyEntry(*own))
 
     @property
     def output_path(self) -> OutputPath:
@@ -350,13 +346,7 @@ def key_files(folder: Path, name: str = "fit.json") -> list[Path]:
 
 
 def read_fit(path: str | os.PathLike[str]) -> Fit:
-    """Read a `fit.json`.
-
-    Raises
-    ------
-    FitError
-        If the file is not a `fit.json` of this schema. The message names the file and the entry.
-    """
+    """Read a `fit.json`; raise a `FitError` for any other file, which names the file and the entry."""
     return convert(_content(path), Fit, printable(path), HINT)
 
 
@@ -367,7 +357,7 @@ def read_note_file(path: str | os.PathLike[str]) -> NoteFile:
 
 
 def _content(path: str | os.PathLike[str]) -> dict[str, Any]:
-    content = load_json(path, Any, LARGEST_FIT, "a fit.json", HINT)
+    content = load_json(path, LARGEST_FIT, "a fit.json", HINT)
     kind = content.get("kind", "fit") if isinstance(content, dict) else type(content).__name__
     if kind not in KINDS:
         raise FitError(f"{printable(path)}: is not a fit.json but of kind {short_repr(kind)}; {HINT}")

@@ -8,25 +8,22 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
-from ..errors import FitError
 from ..excitation import HAMMER
-from ..io.files import printable
 from ..parameters import PARAMETERS
 from .bridge import BridgeAdmittance
 from .dampers import Dampers
-from .decode import MidiVelocity, Number, convert, load_json
+from .decode import MidiVelocity, Number, load_json, load_record
 from .extras import KeyNumber, NoiseFloor, SoundEntry
 from .fit import ExcitationName, PathEntry, PickupQuantity
 from .modal_response import ModalResponseEntry
 
 INSTRUMENT_FILE = "instrument.json"
-INSTRUMENT_SCHEMA = 8
 # Largest instrument.json, bytes.
 LARGEST_INSTRUMENT = 2**25
 HINT = "give the instrument.json that pianofit instrument wrote"
@@ -194,7 +191,7 @@ class ReleaseEntry:
 class InstrumentFile:
     """A whole instrument."""
 
-    schema: int = INSTRUMENT_SCHEMA
+    schema: int = 8
     program: str = "pianofit"
     kind: Literal["instrument"] = "instrument"
     name: str = ""
@@ -221,15 +218,11 @@ class InstrumentFile:
 
 
 def read_instrument_file(path: str | os.PathLike[str]) -> InstrumentFile:
-    """Read an `instrument.json`.
+    """Read an `instrument.json`; raise a `FitError` for any other file, which names the file and the entry."""
+    return load_record(path, InstrumentFile, LARGEST_INSTRUMENT, f"an {INSTRUMENT_FILE}", HINT)
 
-    Raises
-    ------
-    FitError
-        If the file is not an instrument of this schema. The message names the file and the entry.
-    """
-    content = load_json(path, Any, LARGEST_INSTRUMENT, "an instrument.json", HINT)
-    is_table = isinstance(content, dict)
-    if not is_table or (content.get("kind"), content.get("schema")) != ("instrument", INSTRUMENT_SCHEMA):
-        raise FitError(f"{printable(path)}: is not an instrument of schema {INSTRUMENT_SCHEMA}; {HINT}")
-    return convert(content, InstrumentFile, printable(path), HINT)
+
+def is_instrument(path: str | os.PathLike[str], hint: str) -> bool:
+    """Return whether a file is an `instrument.json`, and not a `fit.json`; errors as of `load_json`."""
+    content = load_json(path, LARGEST_INSTRUMENT, f"a fit.json or an {INSTRUMENT_FILE}", hint)
+    return isinstance(content, dict) and content.get("kind") == "instrument"

@@ -65,14 +65,8 @@ class Answers:
 
 
 def read_answers(path: Path) -> tuple[Answers, Any]:
-    """Read the answers of one listener, and the whole content of the file.
-
-    Raises
-    ------
-    ParameterError
-        If the file has no answers. The message names the file and the entry.
-    """
-    content = load_json(path, Any, LARGEST_ANSWERS, "answers of a listening test", HINT, ParameterError)
+    """Read the answers of one listener, and the whole content of the file; raise a `ParameterError` without answers."""
+    content = load_json(path, LARGEST_ANSWERS, "answers of a listening test", HINT, ParameterError)
     schema = content.get("schema") if isinstance(content, dict) else "none"
     if schema != ANSWERS_SCHEMA:
         found = schema if schema == "none" else short_repr(schema)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -115,21 +116,12 @@ class Knock:
             raise ValueError("Expected a scale above 0")
 
     def samples(self, folder: Path | None, channels: int, name: str) -> tuple[np.ndarray, int]:
-        """Return the knock [channels, samples] and its rate, Hz; only `KNOCK_FILE` of the `folder` is opened.
-
-        Raises
-        ------
-        FitError
-            If it is missing or is not a sound of that many channels.
-        """
-        kind, text = ("flac", self.flac) if self.wav is None else ("wav", self.wav)
-        if folder is None or text is not None:
-            path = f"{name}: modal_response.knock.{kind}"
-            data = decode_base64(text, path)
+        """Return the knock [channels, samples] and its rate, Hz; only `KNOCK_FILE` of the `folder` is opened."""
+        if folder is None or self.flac is not None or self.wav is not None:
+            samples, rate = decode_embedded(self.flac, self.wav, f"{name}: modal_response.knock", channels)
         else:
             path = folder / KNOCK_FILE
-            data = read_file(path, LARGEST_KNOCK, FitError)
-        samples, rate = decode_sound(data, kind, path, channels)
+            samples, rate = decode_sound(read_file(path, LARGEST_KNOCK, FitError), "flac", path, channels)
         return self.scale * samples, rate
 
 
@@ -153,17 +145,13 @@ class ModalResponseEntry:
 
     @classmethod
     def of(cls, response: ModalResponse, *, embed_knock: bool = False) -> ModalResponseEntry:
-        """Return the entry of a response. The knock is `KNOCK_FILE`, or with `embed_knock` FLAC of 16 bits in base64.
-
-        16 bits take half the size of 24. The quantisation error lies 80 dB or more below a note's peak.
-        """
+        """Return the entry of a response. The knock is the file `KNOCK_FILE`, or with `embed_knock` in the entry."""
         pole, error, gain = response.pole, response.pole_error, response.velocity_gain
         modes = ModeTable(response.partial, np.imag(pole) / (2 * np.pi), -np.real(pole), error / (2 * np.pi), error)
         scale = float(np.abs(response.knock).max(initial=0.0))
         knock = None
         if scale and embed_knock:
-            flac = encode_pcm(response.knock / scale, response.rate, "flac", 16)
-            knock = Knock(scale, response.rate, flac=base64.b64encode(flac).decode())
+            knock = Knock(scale, response.rate, flac=encode_embedded(response.knock / scale, response.rate))
         elif scale:
             knock = Knock(scale, response.rate, file=KNOCK_FILE)
         return cls(
@@ -176,10 +164,7 @@ class ModalResponseEntry:
     def response(self, folder: Path | None, name: str) -> ModalResponse:
         """Return the response of the model. The knock is inside the entry, or else a file in `folder`.
 
-        Raises
-        ------
-        FitError
-            If the knock cannot be read; the message begins with `name` or with its path.
+        Raises `FitError` if the knock cannot be read. The message begins with `name` or with its path.
         """
         table, gain, amplitudes = self.modes, self.velocity_gain, _matrix(self.modal_amplitudes)
         error = np.zeros(len(table.decay)) if table.decay_error is None else table.decay_error
@@ -221,13 +206,7 @@ def encode_knock(response: ModalResponse) -> bytes | None:
 
 
 def decode_sound(data: bytes, kind: str, path: object, channels: int | None = None) -> tuple[np.ndarray, int]:
-    """Return the sound of a FLAC or WAV file [channels, samples] and its rate, Hz.
-
-    Raises
-    ------
-    FitError
-        If it is not a sound of that kind and of that many channels. The message begins with `path`.
-    """
+    """Return the sound of a FLAC or WAV file [channels, samples] and its rate, Hz. Errors begin with `path`."""
     import soundfile
 
     if data[:4] != MAGIC[kind]:  # no other decoder may read the data
@@ -243,11 +222,23 @@ def decode_sound(data: bytes, kind: str, path: object, channels: int | None = No
     return samples.T, rate
 
 
-def decode_base64(text: str | None, where: str) -> bytes:
-    """Return the bytes of a knock or another short sound; raise a `FitError` that names `where` it is."""
-    try:
-        if text is not None and len(text) <= LARGEST_KNOCK:
-            return base64.b64decode(text, validate=True)
-    except ValueError:
-        pass
-    raise FitError(f"{where} must be base64 of at most {LARGEST_KNOCK / 2**20:g} MiB; {HINT}")
+def encode_embedded(samples: np.ndarray, rate: int) -> str:
+    """Return a short sound [channels, samples] as FLAC of 16 bits in base64.
+
+    16 bits take half the size of 24. The quantisation error lies 80 dB or more below a note's peak.
+    """
+    return base64.b64encode(encode_pcm(samples, rate, "flac", 16)).decode()
+
+
+def decode_embedded(
+    flac: str | None, wav: str | None, where: str, channels: int | None = None
+) -> tuple[np.ndarray, int]:
+    """Return a short sound from FLAC or WAV in base64, as `decode_sound`. Errors name `where` the entry is."""
+    kind, text = ("flac", flac) if wav is None else ("wav", wav)
+    data = None
+    if text is not None and len(text) <= LARGEST_KNOCK:
+        with suppress(ValueError):
+            data = base64.b64decode(text, validate=True)
+    if data is None:
+        raise FitError(f"{where}.{kind} must be base64 of at most {LARGEST_KNOCK / 2**20:g} MiB; {HINT}")
+    return decode_sound(data, kind, f"{where}.{kind}", channels)

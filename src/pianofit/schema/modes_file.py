@@ -10,8 +10,6 @@ import numpy as np
 
 from .instrument import KeyState, KeyValue
 
-MODES_FILE_SCHEMA = 1
-
 
 @dataclass(frozen=True)
 class ModeColumns:
@@ -56,7 +54,7 @@ class ModesKey:
 class ModesFile:
     """A whole instrument."""
 
-    schema: int = MODES_FILE_SCHEMA
+    schema: int = 1
     program: str = "pianofit"
     kind: Literal["modes"] = "modes"
     name: str

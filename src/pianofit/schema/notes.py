@@ -51,17 +51,9 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
 
 def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | None = None) -> Note:
-    """Return the note of the reference recording at the best minimum.
+    """Return the note of the reference recording at the best minimum; errors as of `load_note`, beginning with `name`.
 
-    Parameters
-    ----------
-    folder : folder of the knock, if it is a file.
-    name : beginning of every error message.
-
-    Raises
-    ------
-    FitError
-        As `load_note`.
+    A knock that is a file lies in `folder`.
     """
     values, law = {n: quantity.value for n, quantity in record.parameters.items()}, law_of_fit(record, name, felt)
     where = f"{name}: parameters"
@@ -109,19 +101,20 @@ def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> Exci
     return LAWS[record.felt] if felt is None else felt
 
 
-def notes_of_minima(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
-    """Return pairs of posterior weight and note of the reference recording for all minima, the best first.
+def notes_of_fit(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | None = None) -> tuple[tuple[Note, ...], ...]:
+    """Return the notes of all minima for every recording [minima][recordings], the best minimum first.
 
-    Only the best note has the modal response. Errors are those of `note_of`.
+    Only the notes of the best minimum have the modal response. Errors are those of `note_of`.
     """
     note, law = note_of(fit, folder, name, felt), law_of_fit(fit, name, felt)
-    if len(fit.minima) < 2:
-        return [(1.0, note)]
-    notes = [_note_of_minimum(note, m, f"{name}: minima[{i}].parameters", law) for i, m in enumerate(fit.minima)]
-    return [
-        (minimum.weight, other._replace(modal_response=None) if index else other)
-        for index, (minimum, other) in enumerate(zip(fit.minima, notes, strict=True))
-    ]
+    notes = [note]
+    if len(fit.minima) > 1:
+        notes = [_note_of_minimum(note, m, f"{name}: minima[{i}].parameters", law) for i, m in enumerate(fit.minima)]
+    notes[1:] = (other._replace(modal_response=None) for other in notes[1:])
+    return tuple(
+        tuple(_note_of_recording(fit, which, i, own, name) for i in range(len(fit.recordings)))
+        for which, own in enumerate(notes)
+    )
 
 
 def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: Excitation) -> Note:
@@ -157,24 +150,6 @@ def _string_and_hammer(values: Mapping[str, float], where: str, law: Excitation)
         raise FitError(str(error)) from None
 
 
-def notes_of_recordings(fit: Fit, mixture: list[tuple[float, Note]], name: str) -> tuple[tuple[Note, ...], ...]:
-    """Return the notes of all minima for every recording [minima][recordings].
-
-    Parameters
-    ----------
-    mixture : those of the reference recording, by `notes_of_minima`.
-
-    Raises
-    ------
-    FitError
-        If an entry is out of range; the message names file and entry.
-    """
-    return tuple(
-        tuple(_note_of_recording(fit, which, i, note, name) for i in range(len(fit.recordings)))
-        for which, (_, note) in enumerate(mixture)
-    )
-
-
 def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) -> Note:
     """Return the note of one recording at one minimum, from the `note` of the reference recording there."""
     stroke, reference, where = fit.recordings[index], fit.reference, f"{name}: recordings[{index}]"
@@ -197,17 +172,11 @@ def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) 
         response = note.modal_response
         return own if response is None else own.with_gain(note.gain)._replace(modal_response=response)
     path = fit.pickup.paths.get(str(stroke.path_group))
-    return own._replace(path=None if path is None else path.output_path, modal_response=None)
+    return own._replace(path=None if path is None else path.output_path)
 
 
 def initial_note(fit: Fit, stroke: RecordingFit, note: Note) -> Note:
-    """Return the initial note of one recording, without gain and output path; `note` is the fitted one.
-
-    Raises
-    ------
-    FitError
-        If the fit has no initial values.
-    """
+    """Return the initial note of one recording, without gain and output path; `note` is the fitted one."""
     initial = {name: quantity.initial for name, quantity in fit.parameters.items()} | {
         fit.stroke_name: stroke.stroke_initial
     }

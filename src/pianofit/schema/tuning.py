@@ -8,7 +8,6 @@ from typing import Literal
 from .decode import Number
 from .extras import KeyNumber
 
-TUNING_SCHEMA = 1
 # Octave types by the partials of the lower and of the upper key that coincide. A tuner names them so.
 OctaveType = Literal["2:1", "4:2", "6:3"]
 
@@ -100,7 +99,7 @@ class Tuning:
     warnings : reservations about the result.
     """
 
-    schema: int = TUNING_SCHEMA
+    schema: int = 1
     program: str = "pianofit"
     kind: Literal["tuning"] = "tuning"
     name: str

@@ -255,16 +255,12 @@ def to_setup(given: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -
 
 
 def _entries(name: str, content: object) -> Any:
-    """Check the names of a table, or of a list of tables."""
+    """Check the name of a table, and its keys if the table is not an attribute, which `Setup` checks."""
     if name not in KEYS:
         raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
-    if name in ("fixed", "initial", "bounds"):
-        return content  # `Setup` checks the names: they depend on the felt law
-    if name != "recording":
-        return _table(name, content)
-    if not isinstance(content, list):
+    if name == "recording" and not isinstance(content, list):
         raise SetupError(f"{name} = {_show(content)} must be a list; begin each entry with a line [[{name}]]")
-    return [_table(name, entry) for entry in content]
+    return content if name in ("fixed", "initial", "bounds", "prior", "recording") else _table(name, content)
 
 
 def _table(name: str, content: object, keys: tuple[str, ...] = ()) -> Mapping[str, Any]:

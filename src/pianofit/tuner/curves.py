@@ -30,12 +30,9 @@ def partial_cents(B: np.ndarray, k: int) -> np.ndarray:
 
 
 def octave_stretch(B: np.ndarray, k: int) -> np.ndarray:
-    """Return how far first partials of octaves without beats lie beyond 1200 cents, by lower key.
+    """Return how far first partials of octaves without beats lie beyond 1200 cents, by lower key [..., 76].
 
-    Parameters
-    ----------
-    B : inharmonicity of the 88 keys [..., 88].
-    k : even number of the matched partial of the lower key.
+    `B` is that of the 88 keys [..., 88]. The octaves match partial `k` of the lower key, an even number.
     """
     lower, upper = B[..., :-OCTAVE], B[..., OCTAVE:]
     raised = partial_cents(lower, k) - partial_cents(upper, k // 2)
@@ -43,13 +40,7 @@ def octave_stretch(B: np.ndarray, k: int) -> np.ndarray:
 
 
 def tuning_curve(B: np.ndarray, k: int) -> np.ndarray:
-    """Return the cents of first partials relative to equal temperament, 0 at A4.
-
-    Parameters
-    ----------
-    B : inharmonicity of the 88 keys [..., 88].
-    k : as for `octave_stretch`.
-    """
+    """Return the cents of first partials relative to equal temperament, 0 at A4 [..., 88]; as `octave_stretch`."""
     stretch, a4 = octave_stretch(B, k), A4_MIDI - LOWEST_KEY
     curve = np.empty(B.shape)
     step = np.arange(OCTAVE + 1) / OCTAVE - 1

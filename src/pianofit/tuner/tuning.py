@@ -27,8 +27,7 @@ from ..io.files import printable
 from ..io.number_format import counted
 from ..literature import typical_strings
 from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
-from ..schema.decode import load_json
-from ..schema.instrument import INSTRUMENT_FILE, LARGEST_INSTRUMENT, OwnFit
+from ..schema.instrument import INSTRUMENT_FILE, OwnFit, is_instrument
 from ..schema.tuning import IntervalValue, OctaveType, PartialBeat, TunedKey, Tuning
 from .curves import OCTAVE_TYPES, partial_cents, tuning_curve
 
@@ -156,24 +155,20 @@ def _estimates(draws: np.ndarray) -> list[IntervalValue]:
 
 def _listed(recorded: Recorded, keys: tuple[TunedKey, ...], a4: float, octave: OctaveType) -> Tuning:
     """Return the tuning with its lists of keys."""
-    deviating = [key for key in keys if key.deviation and not _contains_zero(key.deviation)]
-    deviating.sort(key=lambda key: -abs(key.deviation.value) if key.deviation else 0.0)
-    wide = [key for key in keys if key.unison_cents and key.unison_cents.interval[0] > PREFERRED_UNISON]
-    wide.sort(key=lambda key: -key.unison_cents.value if key.unison_cents else 0.0)
+    deviations = {key.note: key.deviation for key in keys if key.deviation}
+    off = {note: abs(it.value) for note, it in deviations.items() if not it.interval[0] <= 0.0 <= it.interval[1]}
+    unisons = {key.note: key.unison_cents for key in keys if key.unison_cents}
+    wide = {note: it.value for note, it in unisons.items() if it.interval[0] > PREFERRED_UNISON}
     has_law = len(recorded.keys) >= ENOUGH_KEYS
     return Tuning(
         name=recorded.name,
         a4=a4,
         octave=octave,
         keys=keys,
-        off=tuple(key.note for key in deviating if has_law),
-        wide_unisons=tuple(key.note for key in wide),
+        off=tuple(sorted(off, key=off.__getitem__, reverse=True)) if has_law else (),
+        wide_unisons=tuple(sorted(wide, key=wide.__getitem__, reverse=True)),
         warnings=tuple(_warnings(recorded, has_law)),
     )
-
-
-def _contains_zero(estimate: IntervalValue) -> bool:
-    return estimate.interval[0] <= 0.0 <= estimate.interval[1]
 
 
 def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
@@ -242,12 +237,7 @@ def load_recorded(paths: Sequence[Path], prefix: str | None) -> Recorded:
 
 
 def _is_instrument(path: Path) -> bool:
-    if path.is_dir():
-        return (path / INSTRUMENT_FILE).is_file()
-    if not path.is_file():
-        return False
-    content = load_json(path, Any, LARGEST_INSTRUMENT, "a fit.json or an instrument.json", HINT)
-    return isinstance(content, dict) and content.get("kind") == "instrument"
+    return (path / INSTRUMENT_FILE).is_file() or (path.is_file() and is_instrument(path, HINT))
 
 
 def _from_fits(paths: Sequence[Path], prefix: str | None) -> Recorded:
