@@ -15,13 +15,13 @@ import base64
 import hashlib
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from ..io.files import replace_file
-from .drawing import COLOURS
+from .drawing import COLOURS, Panel, page_style, svg
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -105,20 +105,21 @@ def asset(name: str, package: str) -> str:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def picture(panels: Sequence[bytes]) -> list[str]:
-    """Return the panels of a picture, from `drawing.svg`, as HTML elements for the macro `picture`.
+def pictures(panels: Mapping[str, Iterable[Panel]]) -> dict[str, list[str]]:
+    """Draw the panels of the pictures of a page, by name, as HTML elements for the macro `picture`.
 
     Each is as wide as its frame, and its ids differ from those of all other figures.
     """
-    return [_svg_element(svg) for svg in panels]
+    with page_style():
+        return {name: [_svg_element(svg(panel.figure())) for panel in own] for name, own in panels.items()}
 
 
-def _svg_element(svg: bytes) -> str:
-    root = ElementTree.fromstring(svg)  # noqa: S314  (written by matplotlib just now)
+def _svg_element(content: bytes) -> str:
+    root = ElementTree.fromstring(content)  # noqa: S314  (written by matplotlib just now)
     values = [value for node in root.iter() for value in node.attrib.values()]
     referenced = {value[1:] for value in values if value.startswith("#")}
     referenced |= {name for value in values for name in REFERENCE.findall(value)}
-    _clean(root, f"f{hashlib.sha256(svg).hexdigest()[:8]}-", referenced)
+    _clean(root, f"f{hashlib.sha256(content).hexdigest()[:8]}-", referenced)
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     return ElementTree.tostring(root, encoding="unicode")

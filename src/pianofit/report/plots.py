@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import FitError, ParameterError
 from ..result import Result
 from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
-from .figures import draw_force, draw_levels, draw_spectrum
+from .figures import contact_of, draw_force, draw_levels, draw_spectrum, spectra_of
 from .identifiability import draw_correlations
 from .modal_response import draw_envelope, envelopes_of
 from .static_law import draw_static_law, static_law
@@ -41,13 +41,14 @@ class Plots:
 
     def spectrum(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw measured, initial and fitted spectrum, dB over Hz, with the bands of the criterion."""
-        result = self.result.with_recordings()
-        return drawn_on(ax, lambda axes: draw_spectrum(axes, result), label)
+        spectra = spectra_of(self.result.with_recordings())
+        return drawn_on(ax, lambda axes: draw_spectrum(axes, *spectra), label)
 
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the force of the hammer on the string, N over ms from the first contact, before and after the fit."""
         self._check_figure("force")
-        return drawn_on(ax, lambda axes: draw_force(axes, self.result), label)
+        contact = contact_of(self.result)
+        return drawn_on(ax, lambda axes: draw_force(axes, *contact), label)
 
     def _check_figure(self, name: str) -> None:
         """Raise a `FitError` if the excitation of the fit does not have a figure."""

@@ -26,18 +26,14 @@ from .drawing import (
     LINES,
     LOOP,
     MEASURED,
+    Panel,
     file_of,
-    legend,
     log_axis,
-    make_figure,
-    page_style,
-    panel,
     span,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Points of the law, and of the loop of a stroke: more than a picture resolves.
 LAW_POINTS, LOOP_POINTS = 48, 400
@@ -106,7 +102,7 @@ def largest_compression(result: Result) -> float:
 # --- figures of one fit -----------------------------------------------------------------------------------------------
 
 
-def draw_felt(result: Result) -> list[Figure]:
+def draw_felt(result: Result) -> list[Panel]:
     """Draw the static law with its band, and the loops of force over compression of all strokes."""
     law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
     rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
@@ -118,9 +114,7 @@ def draw_felt(result: Result) -> list[Figure]:
             style = {"marker": "o", "ms": 5, "ls": "none", "color": LINES["fitted"]["color"], "zorder": 6}
             axes.plot(mark, law.at(mark)[0], label="reference compression", **style)
 
-    return [
-        make_figure(draw_panel, draw, title=title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()
-    ]
+    return [Panel(draw_panel, (draw,), title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()]
 
 
 def draw_static_law(axes: Axes, law: StaticLaw) -> None:
@@ -185,14 +179,15 @@ def compared_laws(
     laws: tuple[StaticLaw, StaticLaw], marks_mm: tuple[float, float], labels: tuple[str, str], unit: str, kind: str
 ) -> bytes:
     """Return the content of a file, svg, png or pdf, of both forces, and below them their ratio."""
-    with page_style():
-        rows = 2 * (1 + any(law.slow is not None for law in laws))
-        figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
+
+    def draw(force: Axes, ratio: Axes) -> None:
         draw_compared_laws(force, laws, marks_mm, labels, unit)
-        force.set(title="Static force of the felts", xlabel="")
+        force.set_xlabel("")
         _draw_ratio(ratio, laws, labels)
-        legend(figure, force, 2)
-        return file_of(figure, kind)
+
+    rows = 2 * (1 + any(law.slow is not None for law in laws))
+    heights = (0.7 * HEIGHT, 0.4 * HEIGHT)
+    return file_of(Panel(draw, (), "Static force of the felts", heights, legend_rows=rows, columns=2), kind)
 
 
 def draw_compared_laws(
