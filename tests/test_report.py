@@ -649,10 +649,10 @@ def test_in_short_states_what_was_measured():
     result = example_result()
     sounds = {"original": result.recording.samples, "fitted": 0.5 * result.recording.samples}
     onset = result.fit.reference.onset_s
-    words = dict(in_short(result, make_clips(sounds, result.recording.rate, onset)))
+    words = dict(in_short(result, make_clips(sounds, result.recording.rate, onset), []))
     cents = 1200 * np.log2(result.fit.derived.f0 / 440.0)
     assert f"{round((cents + 50) % 100 - 50):+d} cents".replace("-", "−") in words["Tuning"]
     assert "6 dB softer" in words["Loudness"]
     assert number(result.fit.levels.fitted_db, 2) in words["Match"]
-    quieter = dict(in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset)))
+    quieter = dict(in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset), []))
     assert "as loud as" in quieter["Loudness"]

@@ -29,9 +29,9 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a count with its noun: "1 key", "2 keys". `plural` is for nouns without a regular plural."""
-    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: "1 key", "2 keys"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def number(value: Any, digits: int = 4, *, with_power: bool = False) -> str:

@@ -71,14 +71,6 @@ class MendOptions(NamedTuple):
     fill: bool = True
     keys: tuple[int, ...] | None = None
 
-    def check(self) -> None:
-        """Raise a `ParameterError` for an option out of range."""
-        check_range("tails=", self.tails, 0.0, 120.0, " s")
-        check_range("even_levels=", self.even_levels, 0.0, 1.0)
-        check_range("onsets=", self.onsets, 0.0, 1.0)
-        for key in self.keys or ():
-            check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
-
 
 class _Library(NamedTuple):
     """Recordings of a library and what their fits say."""
@@ -135,7 +127,11 @@ def mend_library(
     FitError
         If the fits cannot be used.
     """
-    options.check()
+    check_range("tails=", options.tails, 0.0, 120.0, " s")
+    check_range("even_levels=", options.even_levels, 0.0, 1.0)
+    check_range("onsets=", options.onsets, 0.0, 1.0)
+    for key in options.keys or ():
+        check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
     keys, remarks = read_keys(library, pattern=pattern)
     names = sorted({key.instrument for key in keys})
     if len(names) > 1 if prefix is None else prefix not in names:

@@ -17,14 +17,12 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 from ..io.files import replace_file
+from ..io.number_format import counted, number
 from .drawing import COLOURS, Panel, page_style, svg
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 KIT = "pianofit.report"
 # A heading with an id, for the table of contents.
@@ -61,25 +59,9 @@ def page_bytes(
     filters : additional filters of the template.
     strict : if True, a missing entry of `content` is an error; otherwise it is empty.
     """
-    script = "".join(asset(name, package) for name in scripts)
-    page = templates(package, strict=strict, filters=filters).get_template(template)
-    html = page.render(
-        title=title,
-        contents=contents,
-        style="".join(asset(name, package) for name in ("page.css", *styles)),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        **content,
-    )
-    return html.encode("utf-8", errors="replace")
-
-
-def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:
-    """Return the environment of the templates of a package and of this one, with filters for numbers."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
-    from ..io.number_format import counted, number
-
+    script = "".join(asset(name, package) for name in scripts)
     environment = Environment(
         loader=FunctionLoader(lambda name: asset(name, package)),
         autoescape=True,
@@ -88,7 +70,15 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
         undefined=StrictUndefined if strict else Undefined,
     )
     environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
-    return environment
+    html = environment.get_template(template).render(
+        title=title,
+        contents=contents,
+        style="".join(asset(name, package) for name in ("page.css", *styles)),
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        **content,
+    )
+    return html.encode("utf-8", errors="replace")
 
 
 def data_uri(kind: str, content: bytes) -> str:
