@@ -654,5 +654,7 @@ def test_in_short_states_what_was_measured():
     assert f"{round((cents + 50) % 100 - 50):+d} cents".replace("-", "−") in words["Tuning"]
     assert "6 dB softer" in words["Loudness"]
     assert number(result.fit.levels.fitted_db, 2) in words["Match"]
-    quieter = dict(in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset), []))
+    quieter = dict(
+        in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset), [])
+    )
     assert "as loud as" in quieter["Loudness"]

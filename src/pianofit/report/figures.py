@@ -247,8 +247,8 @@ def _model_levels(levels: PartialLevels) -> list[tuple[str, str, np.ndarray]]:
 
 def draw_contact(result: Result) -> list[Panel]:
     """Draw the hammer force over time, and over the compression of the felt."""
-    titles, contact = {draw_force: "Force over time", draw_loop: "Force over compression"}, contact_of(result)
-    return [Panel(draw, contact, title) for draw, title in titles.items()]
+    ms, curves = contact_of(result)
+    return [Panel(draw_force, (ms, curves), "Force over time"), Panel(draw_loop, (curves,), "Force over compression")]
 
 
 def _strokes(result: Result) -> dict[str, Simulation]:
@@ -284,7 +284,7 @@ def draw_force(axes: Axes, ms: np.ndarray, curves: Curves) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def draw_loop(axes: Axes, _: np.ndarray, curves: Curves) -> None:
+def draw_loop(axes: Axes, curves: Curves) -> None:
     """Draw force over compression, with arrowheads for the direction, from `contact_of` a result."""
     for name, (compression, force) in curves.items():
         contact = np.where(compression > 0, 1.0, np.nan)
