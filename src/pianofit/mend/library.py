@@ -200,7 +200,7 @@ def _mended(
     library: _Library, options: MendOptions, remarks: list[str], progress: Callable[[str, float], None]
 ) -> Iterator[_Sound]:
     """Yield all sounds of the mended library."""
-    layouts = Counter[tuple[int, int, int, str]]()
+    layouts = Counter[tuple[int, int, int, str]]()  # channels, rate, bits and kind
     several = any(sample.group for _, sample in library.notes)
     if several and (options.fill or options.even_levels):
         remarks.append("the library has several microphones; sounds are not added and levels stay as they are")
@@ -215,7 +215,7 @@ def _mended(
             continue
         gain = gains.get(sample.file, 0.0) + common
         yield _mend(library, options, key, sample, original, gain)
-        layouts[original.layout] += 1
+        layouts[len(original.sound), original.rate, original.bits, _kind(sample.file)] += 1
         progress("mending", (i + 1) / len(library.notes))
     if options.fill and not several:
         yield from _filled(library, options, layouts.most_common(1)[0][0], common, progress)
@@ -242,25 +242,19 @@ class _Original(NamedTuple):
     rate: int  # Hz
     onset: int  # sample
     bits: int
-    kind: str  # of the file to write
 
     @classmethod
     def read(cls, file: Path) -> _Original:
         """Read a file of a library."""
         frames, rate, subtype = decode_file(file, MAX_BYTES)
-        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS, _kind(file))
-
-    @property
-    def layout(self) -> tuple[int, int, int, str]:
-        """Channels, rate, bits and kind."""
-        return len(self.sound), self.rate, self.bits, self.kind
+        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS)
 
 
 def _mend(
     library: _Library, options: MendOptions, key: Key, sample: Sample, original: _Original, gain: float
 ) -> _Sound:
     """Mend one recording."""
-    sound, rate, onset, bits, _ = original
+    sound, rate, onset, bits = original
     written = _written(library.root, sample.file)
     changes, reason = list[Change](), "no change was asked for"
 

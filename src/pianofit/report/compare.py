@@ -81,8 +81,7 @@ class Comparison:
         FitError
             If a fit has no covariance, so that no band can be drawn.
         """
-        felts = self._drawable()
-        return drawn_on(ax, lambda axes: _draw_laws(axes, self, felts))
+        return drawn_on(ax, _draw_laws, (self, self._drawable()))
 
     def figure(self, kind: str = "svg") -> bytes:
         """Return `plot`, with the ratio of both forces, as the content of a file: svg, png or pdf.

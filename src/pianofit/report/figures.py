@@ -69,7 +69,9 @@ def draw_spectra(result: Result) -> list[Panel]:
 
 def spectra_of(result: Result) -> tuple[Curves, list[Band]]:
     """Return frequencies, Hz, and levels, dB, of the measured, initial and fitted sound, and the visible bands."""
-    recording, top = result.recording, _highest_frequency(result)
+    recording, analysis = result.recording, result.analysis
+    above_partials = float(law_frequency(analysis.f0, analysis.B, analysis.partials.number.max() + 2))
+    top = min(0.5 * recording.rate, HIGHEST_FREQUENCY, above_partials)
     sounds = {"measured": recording.samples, "initial": result.initial.samples, "fitted": result.fitted.samples}
     spectra = {name: spectrum_db(samples[recording.onset :], recording.rate, top) for name, samples in sounds.items()}
     return spectra, _band_edges(result.fit.criterion, top)
@@ -88,12 +90,6 @@ def draw_spectrum(
     axes.set(xlim=part or (edges[0][0], edges[-1][1]), ylim=(max(bottom, highest - 110) - 6, highest + 12))
     axes.set(xlabel="frequency (Hz)", ylabel="level (dB)")
     _shade_bands(axes, edges, named=part is not None)
-
-
-def _highest_frequency(result: Result) -> float:
-    analysis, rate = result.analysis, result.recording.rate
-    above_partials = float(law_frequency(analysis.f0, analysis.B, analysis.partials.number.max() + 2))
-    return min(0.5 * rate, HIGHEST_FREQUENCY, above_partials)
 
 
 def _band_edges(criterion: Criterion, end: float) -> list[Band]:

@@ -80,7 +80,7 @@ def _draw_paths(axes: Axes, paths: Sequence[PathEntry]) -> None:
     axes.set_xlim(low - 0.02 * (high - low) - 1.0, high + 0.02 * (high - low) + 1.0)
 
 
-def draw_left_out(recordings: Sequence[LeftOutRecording], unit: str = "m/s") -> list[Panel]:
+def draw_left_out(recordings: Sequence[LeftOutRecording], unit: str) -> list[Panel]:
     """Draw the errors of each recording left out, in order of its stroke, with two references without a model.
 
     `unit` is that of the parameter of a stroke.

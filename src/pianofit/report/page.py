@@ -50,7 +50,7 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
     result, held_out = _without_folders(result.with_recordings(), held_out)
     fit, law, response = result.fit, result.draw_set.law, result.note.modal_response
     decays = [] if response is None else decays_and_beats(response)
-    clips = clips_of(result)
+    clips, strokes, players = clips_of(result), slider_of(result), players_of(result)
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
@@ -69,8 +69,8 @@ def report_bytes(result: Result, title: str | None = None, held_out: CrossValida
         short=in_short(result, clips, decays),
         modal_response=fit.modal_response and modal_response_text(fit.modal_response),
         decays=decay_rows(decays),
-        strokes=slider_of(result),
-        players=players_of(result),
+        strokes=strokes,
+        players=players,
         held_out=held_out,
         figures=draw_figures(result, held_out),
         data=json_text(builtins_of(fit)).rstrip(),
@@ -83,7 +83,7 @@ def _title(fit: Fit) -> str:
     return ", ".join(filter(None, (name, fit.reference.note)))
 
 
-def draw_figures(result: Result, held_out: CrossValidation | None = None) -> dict[str, list[str]]:
+def draw_figures(result: Result, held_out: CrossValidation | None) -> dict[str, list[str]]:
     """Draw all figures of the page: name -> panels as HTML elements, none where the fit lacks the data."""
     fit, own = result.fit, result.draw_set.law.figures
     return pictures(

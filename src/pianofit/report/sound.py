@@ -50,7 +50,6 @@ class Clip:
     name: str
     wav: bytes
     gain_db: float
-    rate: int
     seconds: float
 
     @property
@@ -100,7 +99,7 @@ def make_clips(
     for name, samples in excerpts.items():
         gain = gains[name] * common
         wav = encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16)
-        clips.append(Clip(name, wav, 20 * math.log10(gain), rate, samples.shape[-1] / rate))
+        clips.append(Clip(name, wav, 20 * math.log10(gain), samples.shape[-1] / rate))
     return clips
 
 

@@ -14,7 +14,7 @@ from ..io.number_format import number, with_interval
 from ..schema.dependencies import derived_status
 from ..schema.derived import Recontact
 from ..schema.fit import Criterion, Fit
-from ..schema.quantities import T60, Quantity
+from ..schema.quantities import T60, Quantity, Status
 
 STATUS = {  # status -> mark, explanation
     "fitted": ("●", "estimated from the recording"),
@@ -244,7 +244,8 @@ def initial_hammer_text(fit: Fit) -> str:
     initial_hammer, fitted = fit.levels.reference_hammer_db, fit.levels.fitted_db
     if initial_hammer is None or fitted is None:
         return ""
-    states = {q.name: q.status for q in (*fit.parameters.values(), *fit.invariants.values())}
+    reported = (*fit.parameters.values(), *fit.invariants.values())
+    states: dict[str, Status] = {quantity.name: quantity.status for quantity in reported}
     conclusion = "The levels of the partials therefore do not support the fitted hammer over the initial one."
     if derived_status("hammer", states) in ("not-identifiable", "at-bound"):
         conclusion = "The recordings do not identify the hammer, so this does not support the fitted one."
