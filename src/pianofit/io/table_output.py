@@ -15,11 +15,12 @@ from .files import replace_file
 Rows = Iterable[Sequence[Any]]
 
 
-def html_table(header: Sequence[str], rows: Rows) -> str:
+def html_table(header: Sequence[str], rows: Rows, caption: str = "") -> str:
     """Return a table as HTML, with escaped texts and numbers of five significant digits."""
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     body = "".join("<tr>" + "".join(f"<td>{escape(_cell_text(cell))}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def _cell_text(cell: Any) -> str:
