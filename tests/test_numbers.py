@@ -93,4 +93,3 @@ def test_columns_are_as_wide_as_what_they_hold():
 
 def test_one_of_a_kind_is_counted_in_the_singular():
     assert [counted(n, "key") for n in (0, 1, 2)] == ["0 keys", "1 key", "2 keys"]
-    assert [counted(n, "velocity", "velocities") for n in (1, 3)] == ["1 velocity", "3 velocities"]
