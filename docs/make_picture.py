@@ -12,7 +12,15 @@ from matplotlib.image import imsave
 
 from pianofit import Result, fit
 from pianofit.report.drawing import LINES, legend, page_style
-from pianofit.report.figures import attack_waves, draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.report.figures import (
+    attack_waves,
+    contact_of,
+    draw_attack,
+    draw_levels,
+    draw_loop,
+    draw_spectrum,
+    spectra_of,
+)
 from pianofit.synthetic import demo_recording
 
 PICTURE = Path(__file__).with_name("picture.png")
@@ -34,15 +42,15 @@ def picture(result: Result) -> bytes:
             for bottom in (0.58, 0.10)
             for left, width in ((0.05, 0.42), (0.55, 0.43))
         )
-        draw_spectrum(spectra, result)
+        draw_spectrum(spectra, *spectra_of(result))
         spectra.set(title="Spectra and the bands of the fit")
-        draw_attack(attack, result, "fitted")
         ms, waves = attack_waves(result)
+        draw_attack(attack, ms, waves, "fitted")
         attack.plot(ms, waves["initial"], label="initial", **LINES["initial"])
         attack.set(title="Attack", xlabel="time from the onset (ms)")
         draw_levels(levels, result.fit.reference.partials)
         levels.set(title="Levels of the partials", xlabel="partial number")
-        draw_loop(loop, result)
+        draw_loop(loop, contact_of(result)[1])
         loop.set(title="Felt: force over compression")
         legend(figure, attack)
         figure.set_dpi(100)

@@ -69,7 +69,7 @@ def sounds_of(path, player):
 def page_of(result, title, held_out=None, strokes=None):
     """Return the page with these sounds of the velocity slider."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pianofit.report.page.strokes_of", lambda _: strokes or ({}, False))
+        patch.setattr("pianofit.report.sound.strokes_of", lambda _: strokes or ({}, False))
         return report_bytes(result, title, held_out)
 
 

@@ -40,7 +40,7 @@ from pianofit.errors import OutputError
 from pianofit.io.files import replace_file
 from pianofit.io.number_format import number
 from pianofit.model.modal_response import PartialDecay
-from pianofit.report.drawing import make_figure, page_style, span
+from pianofit.report.drawing import Panel, page_style, span
 from pianofit.report.figures import _arrow_positions, draw_partials, draw_spectra
 from pianofit.report.html import asset
 from pianofit.report.in_short import in_short
@@ -64,7 +64,7 @@ from pianofit.schema.quantities import STATUSES, Quantity
 @pytest.fixture(autouse=True)
 def _drawn_once(monkeypatch):
     monkeypatch.setattr("pianofit.report.page.draw_figures", drawn_once)
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
+    monkeypatch.setattr("pianofit.report.sound.strokes_of", lambda _: ({}, False))
 
 
 def written(folder, fit=None, title="a.wav, F#2", **result: Any):
@@ -524,8 +524,9 @@ def test_page_allows_an_empty_modal_response(lost):
     empty = envelope._replace(time=lost(envelope.time), levels={name: lost(x) for name, x in levels.items()})
     time, frequency, measured, _ = spectrograms_of(result)
     with page_style():
-        assert make_figure(draw_envelope, empty)
-        assert _draw_map(time, frequency, lost(measured), "recorded", "viridis", span(lost(measured)), "dB")
+        assert Panel(draw_envelope, (empty,)).figure()
+        values = time, frequency, lost(measured), "viridis", span(lost(measured)), "dB"
+        assert Panel(_draw_map, values).figure()
 
 
 def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
@@ -564,9 +565,10 @@ def test_a_strike_on_a_node_does_not_flatten_the_levels(name):
 
 def test_bands_beyond_the_spectra_are_not_in_their_picture():
     result = example_result()
-    (*_, last), end = draw_spectra(result), draw_spectra(result)[-1].axes[0].get_xlim()[1]
-    for figure in draw_spectra(with_borders(result, (50.0, 0.1 * end, 1.5 * end, 1.8 * end), ("band3",))):
-        (axes,) = figure.axes
+    last = draw_spectra(result)[-1].figure()
+    end = last.axes[0].get_xlim()[1]
+    for panel in draw_spectra(with_borders(result, (50.0, 0.1 * end, 1.5 * end, 1.8 * end), ("band3",))):
+        (axes,) = panel.figure().axes
         assert axes.get_xlim()[1] <= last.axes[0].lines[0].get_xdata()[-1] * 1.001
         assert "band 3" not in " ".join(text.get_text() for text in axes.texts)
 
@@ -574,7 +576,7 @@ def test_bands_beyond_the_spectra_are_not_in_their_picture():
 def test_a_decay_that_a_beat_hides_leaves_room_to_the_others():
     result = example_result()
     hidden = with_partials(result, lambda decay: np.where(np.arange(len(decay)) == 2, 1e-3, decay), "decay")
-    (_, with_beat), (_, plain) = (draw_partials(it) for it in (hidden, result))
+    with_beat, plain = (draw_partials(it)[1].figure() for it in (hidden, result))
     low = [figure.axes[0].get_ylim()[0] for figure in (with_beat, plain)]
     assert 1e-2 < low[0] <= low[1]
     labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (with_beat, plain)]
@@ -647,10 +649,12 @@ def test_in_short_states_what_was_measured():
     result = example_result()
     sounds = {"original": result.recording.samples, "fitted": 0.5 * result.recording.samples}
     onset = result.fit.reference.onset_s
-    words = dict(in_short(result, make_clips(sounds, result.recording.rate, onset)))
+    words = dict(in_short(result, make_clips(sounds, result.recording.rate, onset), []))
     cents = 1200 * np.log2(result.fit.derived.f0 / 440.0)
     assert f"{round((cents + 50) % 100 - 50):+d} cents".replace("-", "−") in words["Tuning"]
     assert "6 dB softer" in words["Loudness"]
     assert number(result.fit.levels.fitted_db, 2) in words["Match"]
-    quieter = dict(in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset)))
+    quieter = dict(
+        in_short(result, make_clips(sounds | {"fitted": sounds["original"]}, result.recording.rate, onset), [])
+    )
     assert "as loud as" in quieter["Loudness"]

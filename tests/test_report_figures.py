@@ -11,9 +11,9 @@ from report_cases import Page, drawn_in, drawn_once, example_content, example_fi
 
 from pianofit.felt import LAWS
 from pianofit.parameters import PARAMETERS
-from pianofit.report.drawing import COLOURS, FITTED, make_figure, page_style, svg
+from pianofit.report.drawing import COLOURS, FITTED, Panel
 from pianofit.report.equations import HAMMER, MODES, PATH, STRING, equations, formula_html, symbols
-from pianofit.report.html import asset, picture
+from pianofit.report.html import asset, pictures
 from pianofit.report.page import report_bytes
 from pianofit.report.text import SYMBOLS
 
@@ -23,7 +23,7 @@ def html():
     fit = example_fit(modal_response=response_content())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pianofit.report.page.draw_figures", drawn_once)
-        patch.setattr("pianofit.report.page.strokes_of", lambda _: ({}, False))
+        patch.setattr("pianofit.report.sound.strokes_of", lambda _: ({}, False))
         return report_bytes(example_result(fit, modes=True), "a.wav, F#2").decode()
 
 
@@ -79,8 +79,7 @@ def test_a_drawing_keeps_its_text_in_reading_order():
         axes.plot([0.0, 1.0], [0.0, 1.0], color=FITTED)
         axes.set(title="a <b> & c", xlabel="$M_{H}/M_{S}$")
 
-    with page_style():
-        (element,) = picture([svg(make_figure(draw))])
+    (element,) = pictures({"": [Panel(draw)]})[""]
     texts = [re.sub("<[^>]+>", "", one) for one in re.findall(r"<text.*?</text>", element, re.DOTALL)]
     assert "MH/MS" in texts
     assert "a &lt;b&gt; &amp; c" in texts

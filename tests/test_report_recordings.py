@@ -43,8 +43,8 @@ from pianofit.report.identifiability import (
     half_widths,
     identifiability_sections,
 )
-from pianofit.report.page import _slider, report_bytes, strokes_of
-from pianofit.report.sound import make_clips
+from pianofit.report.page import report_bytes
+from pianofit.report.sound import make_clips, slider_of, strokes_of
 from pianofit.report.static_law import StaticLaw, _loop, draw_felt, static_law
 from pianofit.result import Result
 from pianofit.result.fitted_recording import RenderedFit
@@ -59,7 +59,7 @@ STROKES = functools.cache(example_strokes)
 @pytest.fixture(autouse=True)
 def _drawn_once(monkeypatch):
     monkeypatch.setattr("pianofit.report.page.draw_figures", drawn_once)
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: STROKES())
+    monkeypatch.setattr("pianofit.report.sound.strokes_of", lambda _: STROKES())
 
 
 def written(fit=None, held_out=None, **sizes):
@@ -111,7 +111,7 @@ def test_figure_of_identifiability_has_the_given_numbers():
 
 
 def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(monkeypatch):
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: (STROKES()[0], False))
+    monkeypatch.setattr("pianofit.report.sound.strokes_of", lambda _: (STROKES()[0], False))
     text = Page(written(example_fit())).text
     for part in ("Other recordings", "Levels of each recording", "Estimated output path", "left out", "softest"):
         assert part not in text
@@ -120,7 +120,7 @@ def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(monkeypatch):
 
 
 def test_page_of_five_long_takes_stays_small(monkeypatch):
-    monkeypatch.setattr("pianofit.report.page.strokes_of", lambda _: STROKES(rate=48_000, seconds=8.1))
+    monkeypatch.setattr("pianofit.report.sound.strokes_of", lambda _: STROKES(rate=48_000, seconds=8.1))
     sizes, held_out = {"rate": 48_000, "seconds": 8.1}, example_held_out(5)
     rings = fit_of_recordings(5, modal_response=response_content())  # its page holds all that one without has
     assert len(written(rings, held_out, modes=True, **sizes)) < 8.2e6
@@ -160,7 +160,7 @@ def test_light_sounds_are_brought_down_without_changing_them(rate, factor):
     sound = np.exp(-9 * t) * np.sin(2 * np.pi * 440 * t) + 0.3 * np.sin(2 * np.pi * 5000 * t)
     (clip,) = make_clips({"a": sound}, rate, lead_in=0.0, highest_rate=32000, matched=False)
     samples, new_rate = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
-    assert (new_rate, clip.rate) == (round(rate / factor), round(rate / factor))
+    assert new_rate == round(rate / factor)
     expected = 10 ** (clip.gain_db / 20) * resample_poly(sound, 1, factor)
     middle = slice(len(samples) // 10, len(samples) * 8 // 10)
     np.testing.assert_allclose(samples[middle], expected[middle], atol=3e-3)
@@ -195,7 +195,7 @@ def test_figure_of_the_felt_stands_any_law_and_stroke(monkeypatch, law, pulse):
         simulation = fitted.fitted.simulation._replace(pulse=SimpleNamespace(**given))
         changed.append(replace(fitted, fitted=replace(fitted.fitted, simulation=simulation)))
     with page_style():
-        assert len(draw_felt(replace(result, recordings=tuple(changed)))) == 2
+        assert len([panel.figure() for panel in draw_felt(replace(result, recordings=tuple(changed)))]) == 2
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_figure_of_identifiability_stands_any_numbers(monkeypatch, correlation, 
     monkeypatch.setattr(Result, "correlation", correlation)
     monkeypatch.setattr("pianofit.report.identifiability.half_widths", lambda _: halves)
     with page_style():
-        assert len(draw_identifiability(example_result())) == 2
+        assert len([panel.figure() for panel in draw_identifiability(example_result())]) == 2
 
 
 def test_page_stands_predictions_that_failed():
@@ -344,7 +344,7 @@ def test_the_slider_ends_at_the_takes_and_plays_the_fitted_note():
     velocities = [*strokes]
     assert is_recorded_range
     np.testing.assert_allclose([velocities[i] for i in (0, 3, -1)], [0.75, 1.5, 3.0], rtol=1e-12)
-    assert _slider(result)["first"] == 3
+    assert slider_of(result)["first"] == 3
     for index, recording in ((0, 1), (3, 2), (-1, 0)):
         played = strokes[velocities[index]]
         assert len(played) == round(2.5 * RATE)

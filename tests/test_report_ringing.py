@@ -48,7 +48,7 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
 
 
 def test_envelopes_are_those_of_the_strongest_partials():
-    titles = [figure.axes[0].get_title() for figure in draw_envelopes(fake_result())]
+    titles = [panel.figure().axes[0].get_title() for panel in draw_envelopes(fake_result())]
     assert [title.split(",")[0] for title in titles] == [f"partial {k}" for k in range(1, 7)]
     for one in envelopes_of(fake_result(), [1, 2, 3, 4, 5, 6]):
         assert (one.time[0], one.time[-1]) == pytest.approx((0.0, 3.0), abs=0.02)
@@ -94,4 +94,5 @@ def test_a_key_by_its_law_has_two_envelopes():
 @pytest.mark.parametrize("seconds", [0.1, 0.5])
 def test_a_short_recording_is_drawn(seconds):
     result = fake_result(seconds)
-    assert (len(draw_envelopes(result)), len(draw_spectrograms(result))) == (6, 3)
+    panels = draw_envelopes(result), draw_spectrograms(result)
+    assert [len([panel.figure() for panel in own]) for own in panels] == [6, 3]

@@ -17,15 +17,13 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..io.number_format import number
 from ..report import html
-from ..report.drawing import BAND, FITTED, INITIAL, MARKERS, MEASURED, key_axis, log_axis, make_figure, page_style, svg
-from ..report.figures_recordings import GROUPS as COLOURS
+from ..report.drawing import BAND, FITTED, GROUPS, INITIAL, MARKERS, MEASURED, Panel, key_axis, log_axis
 from ..schema.instrument import PartialEntry
 from .instrument import KEY_STATES, Instrument, Key
 from .key_quantities import LOUDEST_VELOCITY, law_compression, law_quantities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Deviation of a fit from the prediction of the other keys from which the table names it, standard deviations.
 NAMED_Z = 2.0
@@ -84,7 +82,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         states=[(state, count, KEY_STATES[state]) for state, count in instrument.state_counts.items()],
         unit=instrument.law.hammer_parameters[instrument.law.size].unit,
         columns=[*_columns(instrument)],
-        figures={name: html.picture(panels) for name, panels in _draw(instrument).items()},
+        figures=html.pictures(_panels(instrument)),
         rows=[_row(midi, key, instrument) for midi, key in instrument.keys.items()],
         loudest=f"{LOUDEST_VELOCITY:g}",
         u_low=1e3 * law_compression(LOWEST_KEY),
@@ -109,22 +107,21 @@ def _row(midi: int, key: Key, instrument: Instrument) -> dict[str, Any]:
     }
 
 
-def _draw(instrument: Instrument) -> dict[str, list[bytes]]:
-    """SVGs of the panels, by figure."""
-    with page_style():
-        shown = {name: [law for law in names if law in instrument.laws] for name, names in FIGURES.items()}
-        figures = {name: [_law_panel(instrument, law) for law in laws] for name, laws in shown.items() if laws}
-        others = [make_figure(draw, instrument) for draw in (_paths, _velocities, _residuals)]
-        figures["sound"] = [_law_panel(instrument, "level"), *others]
-        fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
-        partials = [(midi, partial) for midi, fit in fits for partial in fit.partials]
-        if partials:
-            figures["decays"] = [make_figure(_decays, partials, name, title=title) for name, title in DECAYS.items()]
-        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
+def _panels(instrument: Instrument) -> dict[str, list[Panel]]:
+    """Panels, by figure."""
+    shown = {name: [law for law in names if law in instrument.laws] for name, names in FIGURES.items()}
+    figures = {name: [_law_panel(instrument, law) for law in laws] for name, laws in shown.items() if laws}
+    others = [Panel(draw, (instrument,)) for draw in (_paths, _velocities, _residuals)]
+    figures["sound"] = [_law_panel(instrument, "level"), *others]
+    fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
+    partials = [(midi, partial) for midi, fit in fits for partial in fit.partials]
+    if partials:
+        figures["decays"] = [Panel(_decays, (partials, name), title) for name, title in DECAYS.items()]
+    return figures
 
 
-def _law_panel(instrument: Instrument, name: str) -> Figure:
-    return make_figure(_law, instrument, name, legend_rows=2, columns=3)
+def _law_panel(instrument: Instrument, name: str) -> Panel:
+    return Panel(_law, (instrument, name), legend_rows=2, columns=3)
 
 
 def _law(axes: Axes, instrument: Instrument, name: str) -> None:
@@ -192,7 +189,7 @@ def _decays(axes: Axes, partials: list[tuple[int, PartialEntry]], name: str) -> 
             marker=MARKERS[(partial - 1) % len(MARKERS)],
             ls="none",
             ms=5,
-            color=COLOURS[(partial - 1) % len(COLOURS)],
+            color=GROUPS[(partial - 1) % len(GROUPS)],
             label=f"partial {partial}",
         )
     key_axis(axes)

@@ -18,8 +18,8 @@ from ..io.files import replace_file
 from ..report.html import write_page
 from ..report.sound import Clip, make_clips
 from ..schema.decode import builtins_of, encode_json
-from ..schema.listening import ListeningKey, SoundIdentity, TrialEntry
-from .trials import ListeningSound, Question, draw_trials
+from ..schema.listening import ListeningKey, SoundIdentity
+from .trials import KINDS, ListeningSound, Question, draw_trials
 
 # Time that a listener needs for one question, min.
 MINUTES = 0.25
@@ -59,25 +59,19 @@ def write_listening(
     draw = np.random.default_rng(seed)
     sounds = list(dict.fromkeys(sound for q in questions for sound in (q.reference, *q.pair)))
     names = {sound: f"s{n:03d}" for sound, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
-    trials = list(draw_trials(questions, draw))
+    trials = tuple(draw_trials(questions, names, draw))
     clips = make_clips({name: sound.samples for sound, name in names.items()}, rate, onset, seconds=seconds)
     hidden = ListeningKey(
         program=program,
         version=__version__,
         seed=seed,
         sounds={name: SoundIdentity(sound.what, sound.case) for sound, name in names.items()},
-        trials=tuple(
-            TrialEntry(
-                t.question.condition, t.question.kind, *(names[sound] for sound in (t.reference, t.a, t.b, t.hit))
-            )
-            for t in trials
-        ),
+        trials=trials,
     )
     test = {name: getattr(hidden, name) for name in ("schema", "program", "version", "seed")} | {
         "sounds": {clip.name: clip.text for clip in sorted(clips, key=lambda c: c.name)},
         "hidden": base64.b64encode(json.dumps(builtins_of(hidden)).encode()).decode(),
     }
-    counts = {kind: sum(t.question.kind == kind for t in trials) for kind in ("abx", "nearer")}
     write_page(
         path,
         "listening.html.j2",
@@ -86,12 +80,12 @@ def write_listening(
         scripts=("audio.js", "listening.js"),
         title="A blind listening test",
         test=test,
-        counts=counts,
+        counts={kind: sum(trial.kind == kind for trial in trials) for kind in KINDS},
         count=len(trials),
         about=about,
         origin=origin,
         minutes=max(1, round(MINUTES * len(trials))),
-        controls=sum(t.question.condition.startswith("hidden reference") for t in trials),
+        controls=sum(trial.condition.startswith("hidden reference") for trial in trials),
     )
     replace_file(key, encode_json(hidden))
     return [*zip(sounds, clips, strict=True)]

@@ -121,14 +121,12 @@ def _files(side: Path) -> Iterator[Path]:
 
 def _fits_in(side: Path) -> Fits:
     """Sounds of all fits in a folder, by hash of the recording."""
-    return {digest: fit for file in key_files(side) for digest, fit in _sounds_of(file)}
-
-
-def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:
-    """Yield hash and fitted sound of each recording of a fit."""
-    recordings = read_fit(file).recordings
-    stems = [Path(recording.file).stem for recording in recordings]
-    for recording, stem, name in zip(recordings, stems, stroke_names(stems) or ["fitted.wav"], strict=False):
-        if (sound := file.parent / name).is_file():
-            channel = "average" if recording.channel == "mono" else recording.channel
-            yield recording.sha256, Fit(stem, channel, sound)
+    fits = {}
+    for file in key_files(side):
+        recordings = read_fit(file).recordings
+        stems = [Path(recording.file).stem for recording in recordings]
+        for recording, stem, name in zip(recordings, stems, stroke_names(stems) or ["fitted.wav"], strict=False):
+            if (sound := file.parent / name).is_file():
+                channel = "average" if recording.channel == "mono" else recording.channel
+                fits[recording.sha256] = Fit(stem, channel, sound)
+    return fits

@@ -95,8 +95,11 @@ def write_listening_test(
     draw = np.random.default_rng(seed)
     labels, (groups, alone) = _labels(sides), pairs_of(sides)
     loaded = {name: load_pair(groups[name]) for name in sorted(draw.permutation([*groups])[:MAX_PAIRS].tolist())}
-    failed = [f"{printable(r.path)}: {text}" for group in loaded.values() for r in group for text in failures(r)]
-    kept = {name: group for name, group in loaded.items() if not any(map(failures, group))}
+    messages = {
+        name: [f"{printable(r.path)}: {text}" for r in group for text in failures(r)] for name, group in loaded.items()
+    }
+    failed = [message for own in messages.values() for message in own]
+    kept = {name: group for name, group in loaded.items() if not messages[name]}
     if failed and not (exclude_invalid and kept):
         raise RecordingError(f"{'; '.join(failed)} (--exclude-invalid leaves such sounds out, if others remain)")
     rate = _check_formats(list(kept.values()))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+
+from ..schema.listening import TrialEntry
+
+Kind = Literal["abx", "nearer"]
+KINDS: tuple[Kind, ...] = ("abx", "nearer")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +33,7 @@ class Question(NamedTuple):
     reference: ListeningSound
     pair: tuple[ListeningSound, ListeningSound]
     times: int = 2
-    kind: Literal["abx", "nearer"] = "nearer"
+    kind: Kind = "nearer"
 
     @property
     def condition(self) -> str:
@@ -42,26 +47,16 @@ class Question(NamedTuple):
         return f"hidden reference: {self.reference.what} next to {other.what}"
 
 
-class Trial(NamedTuple):
-    """One repetition of a question."""
-
-    question: Question
-    reference: ListeningSound
-    a: ListeningSound
-    b: ListeningSound
-
-    @property
-    def hit(self) -> ListeningSound:
-        """The answer that is counted: the reference if it is in the pair, else the first of the pair."""
-        return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
-
-
-def draw_trials(questions: list[Question], draw: np.random.Generator) -> Iterator[Trial]:
-    """Yield the trials in random order, first all `abx`, then all `nearer`."""
-    for kind in ("abx", "nearer"):
+def draw_trials(
+    questions: list[Question], names: Mapping[ListeningSound, str], draw: np.random.Generator
+) -> Iterator[TrialEntry]:
+    """Yield the trials in random order, first all `abx`, then all `nearer`, with the `names` of the sounds."""
+    for kind in KINDS:
         asked = [question for question in questions if question.kind == kind for _ in range(question.times)]
         for n in draw.permutation(len(asked)):
             question = asked[n]
             side, x = draw.integers(2, size=2)
             a, b = question.pair[:: -1 if side else 1]
-            yield Trial(question, question.pair[x] if kind == "abx" else question.reference, a, b)
+            reference = question.pair[x] if kind == "abx" else question.reference
+            hit = reference if reference in question.pair else question.pair[0]
+            yield TrialEntry(question.condition, kind, *(names[sound] for sound in (reference, a, b, hit)))

@@ -37,8 +37,7 @@ def layer_laws(velocities: Mapping[str, Mapping[int, float]]) -> dict[str, Layer
     laws = {}
     for layer, by_key in velocities.items():
         midi, log_v = np.array(list(by_key)), np.log(list(by_key.values()))
-        degree = 1 if len(midi) >= FEWEST_FOR_SLOPE else 0
-        slope, at_zero = np.polyfit(midi, log_v, degree) if degree else (0.0, log_v.mean())
+        slope, at_zero = np.polyfit(midi, log_v, 1) if len(midi) >= FEWEST_FOR_SLOPE else (0.0, log_v.mean())
         laws[layer] = LayerLaw(float(slope), float(at_zero))
     return laws
 

@@ -71,20 +71,12 @@ class MendOptions(NamedTuple):
     fill: bool = True
     keys: tuple[int, ...] | None = None
 
-    def check(self) -> None:
-        """Raise a `ParameterError` for an option out of range."""
-        check_range("tails=", self.tails, 0.0, 120.0, " s")
-        check_range("even_levels=", self.even_levels, 0.0, 1.0)
-        check_range("onsets=", self.onsets, 0.0, 1.0)
-        for key in self.keys or ():
-            check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
-
 
 class _Library(NamedTuple):
     """Recordings of a library and what their fits say."""
 
     root: Path
-    keys: list[Key]
+    notes: list[tuple[Key, Sample]]
     instrument: Instrument
     laws: dict[str, LayerLaw]
     recorded: dict[str, dict[int, float]]  # velocities, m/s, by layer and key
@@ -135,7 +127,11 @@ def mend_library(
     FitError
         If the fits cannot be used.
     """
-    options.check()
+    check_range("tails=", options.tails, 0.0, 120.0, " s")
+    check_range("even_levels=", options.even_levels, 0.0, 1.0)
+    check_range("onsets=", options.onsets, 0.0, 1.0)
+    for key in options.keys or ():
+        check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
     keys, remarks = read_keys(library, pattern=pattern)
     names = sorted({key.instrument for key in keys})
     if len(names) > 1 if prefix is None else prefix not in names:
@@ -145,7 +141,9 @@ def mend_library(
         )
     keys = [key for key in keys if prefix is None or key.instrument == prefix]
     root = (library if library.is_dir() else library.parent).resolve()
-    files = [sample.file for _, sample in _notes(keys)]
+    # The strokes of all keys; recordings of other roles are left out.
+    notes = [(key, sample) for key in keys for sample in key.samples if sample.role == "note"]
+    files = [sample.file for _, sample in notes]
     _check_places(library, root, files)
     if out is not None:
         _check_out(out, root, files)
@@ -156,8 +154,7 @@ def mend_library(
             f"{printable(fits)}: holds no fit of the recordings of {printable(library)}; run pianofit batch on it, and "
             "give its folder"
         )
-    read = _read(keys, root, load_instrument(fits, prefix), digests)
-    sounds = _mended(read, options, remarks, progress)
+    sounds = _mended(_read(notes, root, load_instrument(fits, prefix), digests), options, remarks, progress)
     if out is None:
         return [change for sound in sounds for change in sound.changes], remarks
     changes: list[Change] = []
@@ -169,22 +166,17 @@ def mend_library(
     return changes, remarks
 
 
-def _read(keys: list[Key], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
+def _read(notes: list[tuple[Key, Sample]], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
     """Find the velocities of all recordings."""
     fitted = [key.fit for key in instrument.keys.values() if key.fit is not None]
     velocity = {layer.sha256: layer.velocity for fit in fitted for layer in fit.layers}
     recorded: dict[str, dict[int, float]] = {}
-    for key, sample in _notes(keys):
+    for key, sample in notes:
         if digests[sample.file] in velocity:
             recorded.setdefault(sample.layer, {})[note_to_midi(key.note)] = velocity[digests[sample.file]]
     if not recorded:
         raise FitError(f"the instrument has other recordings than {printable(root)}; run pianofit batch again")
-    return _Library(root, keys, instrument, layer_laws(recorded), recorded)
-
-
-def _notes(keys: Sequence[Key]) -> Iterator[tuple[Key, Sample]]:
-    """Yield the strokes of all keys; recordings of other roles are left out."""
-    yield from ((key, sample) for key in keys for sample in key.samples if sample.role == "note")
+    return _Library(root, notes, instrument, layer_laws(recorded), recorded)
 
 
 def _check_places(library: Path, root: Path, files: Sequence[Path]) -> None:
@@ -208,14 +200,14 @@ def _mended(
     library: _Library, options: MendOptions, remarks: list[str], progress: Callable[[str, float], None]
 ) -> Iterator[_Sound]:
     """Yield all sounds of the mended library."""
-    notes, layouts = list(_notes(library.keys)), Counter[tuple[int, int, int, str]]()
-    several = any(sample.group for _, sample in notes)
+    layouts = Counter[tuple[int, int, int, str]]()  # channels, rate, bits and kind
+    several = any(sample.group for _, sample in library.notes)
     if several and (options.fill or options.even_levels):
         remarks.append("the library has several microphones; sounds are not added and levels stay as they are")
     gains, common = _gains(library, options.even_levels) if options.even_levels and not several else ({}, 0.0)
     if common < 0:
         remarks.append(f"all levels are lowered by {-common:.1f} dB, so that the loudest stays below full scale")
-    for i, (key, sample) in enumerate(notes):
+    for i, (key, sample) in enumerate(library.notes):
         try:
             original = _Original.read(sample.file)
         except RecordingError as error:
@@ -223,8 +215,8 @@ def _mended(
             continue
         gain = gains.get(sample.file, 0.0) + common
         yield _mend(library, options, key, sample, original, gain)
-        layouts[original.layout] += 1
-        progress("mending", (i + 1) / len(notes))
+        layouts[len(original.sound), original.rate, original.bits, _kind(sample.file)] += 1
+        progress("mending", (i + 1) / len(library.notes))
     if options.fill and not several:
         yield from _filled(library, options, layouts.most_common(1)[0][0], common, progress)
 
@@ -232,7 +224,7 @@ def _mended(
 def _gains(library: _Library, even: float) -> tuple[dict[Path, float], float]:
     """Gains of recordings towards an even keyboard, and the common one that keeps all below full scale, dB."""
     gains, highest = dict[Path, float](), -np.inf
-    for key, sample in _notes(library.keys):
+    for key, sample in library.notes:
         midi = note_to_midi(key.note)
         if midi not in library.recorded.get(sample.layer, {}):
             continue
@@ -250,25 +242,19 @@ class _Original(NamedTuple):
     rate: int  # Hz
     onset: int  # sample
     bits: int
-    kind: str  # of the file to write
 
     @classmethod
     def read(cls, file: Path) -> _Original:
         """Read a file of a library."""
         frames, rate, subtype = decode_file(file, MAX_BYTES)
-        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS, _kind(file))
-
-    @property
-    def layout(self) -> tuple[int, int, int, str]:
-        """Channels, rate, bits and kind."""
-        return len(self.sound), self.rate, self.bits, self.kind
+        return cls(frames.T, rate, load_recording(file).onset, FLOAT_BITS if subtype in FLOATS else BITS)
 
 
 def _mend(
     library: _Library, options: MendOptions, key: Key, sample: Sample, original: _Original, gain: float
 ) -> _Sound:
     """Mend one recording."""
-    sound, rate, onset, bits, _ = original
+    sound, rate, onset, bits = original
     written = _written(library.root, sample.file)
     changes, reason = list[Change](), "no change was asked for"
 
@@ -343,7 +329,7 @@ def _filled(
     """Yield the sounds that were not recorded, as the instrument plays them, with a `common` gain, dB."""
     channels, rate, bits, kind = layout
     recorded = sorted(set().union(*library.recorded.values()))
-    present = {(note_to_midi(key.note), sample.layer) for key, sample in _notes(library.keys)}
+    present = {(note_to_midi(key.note), sample.layer) for key, sample in library.notes}
     wanted = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
     missing = [sound for sound in wanted if sound not in present]  # also a recording without a fit is there
     for i, (midi, layer) in enumerate(missing):
@@ -357,7 +343,7 @@ def _filled(
         gain = common + amount * (level - stroke_level(key.note, velocity) if amount else 0.0)
         sound, limited = limit_peak(10 ** (gain / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
         note = midi_to_note(midi)
-        name = "-".join(part for part in (library.keys[0].instrument, note.replace("#", "s"), layer) if part)
+        name = "-".join(part for part in (library.notes[0][0].instrument, note.replace("#", "s"), layer) if part)
         detail = "computed from the fit of this key" if midi in recorded else "computed from the keyboard laws"
         detail += f", lowered by {-20 * np.log10(limited):.2f} dB to stay below full scale" * (limited < 1)
         place = f"{ADDED}/{name}.{kind}"

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..errors import FitError, ParameterError
 from ..io.files import printable
 from ..io.number_format import columns, format_with_interval
@@ -19,14 +21,17 @@ from ..result import Result
 from ..schema.decode import builtins_of
 from ..schema.fit import fit_path
 from .comparison_table import ComparedQuantity, Sides
+from .drawing import FITTED, HEIGHT, INITIAL, INK, Panel, file_of, span
 from .plots import drawn_on
-from .static_law import StaticLaw, compared_laws, draw_compared_laws
+from .static_law import StaticLaw, draw_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAMES = ("A", "B")
 FIGURE_KINDS = ("svg", "png", "pdf")  # of files, by their suffix
+LARGEST_RATIO = 10.0  # limit of the axis of the ratio; the panel of the forces shows larger differences
+LONGEST_LABEL = 28  # characters, so that both labels fit below a figure
 COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "status_b", "reason")
 
 
@@ -76,10 +81,7 @@ class Comparison:
         FitError
             If a fit has no covariance, so that no band can be drawn.
         """
-        felts = self._drawable()
-        return drawn_on(
-            ax, lambda axes: draw_compared_laws(axes, felts, self.compressions_mm, self.labels, self.felt_unit)
-        )
+        return drawn_on(ax, _draw_laws, (self, self._drawable()))
 
     def figure(self, kind: str = "svg") -> bytes:
         """Return `plot`, with the ratio of both forces, as the content of a file: svg, png or pdf.
@@ -93,7 +95,12 @@ class Comparison:
         """
         if kind not in FIGURE_KINDS:
             raise ParameterError(f"kind={kind!r} must be one of {', '.join(FIGURE_KINDS)}")
-        return compared_laws(self._drawable(), self.compressions_mm, self.labels, self.felt_unit, kind)
+        felts = self._drawable()
+        rows, heights = 2 * (1 + any(law.slow is not None for law in felts)), (0.7 * HEIGHT, 0.4 * HEIGHT)
+        panel = Panel(
+            _draw_laws_and_ratio, (self, felts), "Static force of the felts", heights, legend_rows=rows, columns=2
+        )
+        return file_of(panel, kind)
 
     def _drawable(self) -> tuple[StaticLaw, StaticLaw]:
         if self.felts is None:
@@ -182,3 +189,53 @@ def _cells(quantity: ComparedQuantity) -> tuple[str, ...]:
         return quantity.name, *values, unit, "-", "-", "-", quantity.reason
     numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{round(quantity.z, 1) + 0.0:+.1f}")
     return quantity.name, *values, unit, *numbers, ""
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def _draw_laws(axes: Axes, it: Comparison, felts: tuple[StaticLaw, StaticLaw]) -> None:
+    """Draw both static laws with 95 % bands, and an error bar at the reference compression of each."""
+    u = felts[0].compression_mm
+    rows = zip(felts, it.compressions_mm, _escape_labels(it.labels), (FITTED, INITIAL), strict=True)
+    for law, mark, label, hue in rows:
+        draw_band(axes, u, law.force, {"color": hue, "lw": 1.6, "zorder": 4}, label)
+        if law.slow is not None:
+            style = {"color": hue, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3}
+            draw_band(axes, u, law.slow, style, f"{label}, slow")
+        if not u[0] <= mark <= u[-1]:
+            continue
+        force, low, high = law.at(mark)
+        bars = [[force - low], [high - force]]
+        axes.errorbar(mark, force, yerr=bars, fmt="o", ms=4, color=hue, lw=1.4, capsize=3, zorder=6)
+    _, top = span(*(curve[0] for law in felts for curve in (law.force, law.slow) if curve is not None))
+    highest = min(float(np.nanmax([law.force[2].max() for law in felts])), 2 * top)
+    axes.set(xlabel="compression of the felt (mm)", xlim=(0.0, 1.02 * u[-1]), ylim=(0.0, 1.05 * max(highest, 1e-9)))
+    axes.set_ylabel("static force (N)" if it.felt_unit == "N" else "static force over string mass (N/kg)")
+
+
+def _escape_labels(labels: tuple[str, str]) -> list[str]:
+    """Return shortened labels that a legend shows literally. A "$" would begin a formula, and a "_" hide an entry."""
+    short = (label if len(label) <= LONGEST_LABEL else label[: LONGEST_LABEL - 1] + "…" for label in labels)
+    return [f"{' ' * label.startswith('_')}{label}".replace("$", r"\$") for label in short]
+
+
+def _draw_laws_and_ratio(force: Axes, axes: Axes, it: Comparison, felts: tuple[StaticLaw, StaticLaw]) -> None:
+    """Draw both laws, and below them the second force over the first, with the 95 % band of two independent fits."""
+    _draw_laws(force, it, felts)
+    force.set_xlabel("")
+    first, second = (np.log(np.maximum(law.force, np.finfo(float).tiny)) for law in felts)
+    ratio = second[0] - first[0]
+    half = np.hypot(second[2] - second[0], first[2] - first[0])
+    low, centre, high = (np.exp(np.clip(x, -100.0, 100.0)) for x in (ratio - half, ratio, ratio + half))
+    u, (first_label, second_label) = felts[0].compression_mm, _escape_labels(it.labels)
+    axes.fill_between(u, low, high, color=INK, alpha=0.15, lw=0)
+    axes.plot(u, centre, color=INK, lw=1.3)
+    axes.axhline(1.0, color=INK, lw=0.8, ls=":")
+    in_range = u >= u[-1] / 10  # bands are wide at small compressions
+    bottom, top = min(low[in_range].min(), 1.0), max(high[in_range].max(), 1.0)
+    margin = 0.08 * (top - bottom) + 1e-6
+    axes.set_ylim(max(bottom - margin, 1 / LARGEST_RATIO), min(top + margin, LARGEST_RATIO))
+    axes.set(ylabel="ratio", xlabel="compression of the felt (mm)")
+    text = f"{second_label} over {first_label}"
+    axes.text(0.99, 0.05, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8.5, color=INK)

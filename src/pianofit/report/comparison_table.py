@@ -60,9 +60,7 @@ class ComparedQuantity:
     @property
     def row(self) -> tuple:
         """Name, both values, unit, difference, sd, z, both statuses, reason."""
-        values, statuses = zip(
-            *((None, None) if q is None else (q.value, q.status) for q in (self.a, self.b)), strict=True
-        )
+        values, statuses = ([q and getattr(q, name) for q in (self.a, self.b)] for name in ("value", "status"))
         return self.name, *values, self.unit, self.difference, self.sd, self.z, *statuses, self.reason
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -91,48 +92,43 @@ def page_style() -> Iterator[None]:
         yield
 
 
-def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `WIDTH` with axes one above the other that share their x. `heights` are in inches.
+@dataclass(frozen=True)
+class Panel:
+    """A panel of a page that is not drawn yet: `draw(*axes, *values)` draws it, on as many axes as `heights` has.
 
-    Parameters
-    ----------
-    left : space for the ticks and the label of y, inches.
-    legend_rows : lines of the legend below the axes.
+    The axes lie one above the other and share their x. The legend below them has the labels of the first.
     """
-    from matplotlib.figure import Figure
 
-    below = BELOW + LEGEND * legend_rows
-    total = TOP + sum(heights) + GAP * (len(heights) - 1) + below
-    figure, panels, bottom = Figure(figsize=(WIDTH, total)), [], total - TOP
-    for height in heights:
-        bottom -= height
-        box = (left / WIDTH, bottom / total, (WIDTH - left - RIGHT) / WIDTH, height / total)
-        axes = figure.add_axes(box, sharex=panels[0] if panels else None)
-        axes.yaxis.set_label_coords((Y_LABEL - left) / (WIDTH - left - RIGHT), 0.5)
-        axes.xaxis.set_label_coords(0.5, -X_LABEL / height)
-        panels.append(axes)
-        bottom -= GAP
-    for axes in panels[:-1]:
-        axes.tick_params(labelbottom=False)
-    return figure, panels
+    draw: Callable[..., None]
+    values: tuple[Any, ...] = ()
+    title: str = ""
+    heights: tuple[float, ...] = (HEIGHT,)  # inches
+    left: float = LEFT  # space for the ticks and the label of y, inches
+    legend_rows: int = 1
+    columns: int = 4  # of the legend
 
+    def figure(self) -> Figure:
+        """Draw the panel, within `page_style`."""
+        from matplotlib.figure import Figure
 
-def make_figure(
-    draw: Callable[..., None],
-    *arguments: Any,
-    title: str = "",
-    height: float = HEIGHT,
-    left: float = LEFT,
-    legend_rows: int = 1,
-    columns: int = 4,
-) -> Figure:
-    """Return a figure of one panel, drawn by `draw(axes, *arguments)`, with a legend of all labels."""
-    figure, (axes,) = panel(height, left=left, legend_rows=legend_rows)
-    draw(axes, *arguments)
-    if title:
-        axes.set_title(title)
-    legend(figure, axes, columns)
-    return figure
+        width, total = WIDTH - self.left - RIGHT, TOP + sum(self.heights) + GAP * (len(self.heights) - 1)
+        total += BELOW + LEGEND * self.legend_rows
+        figure, panels, bottom = Figure(figsize=(WIDTH, total)), [], total - TOP
+        for height in self.heights:
+            bottom -= height
+            box = (self.left / WIDTH, bottom / total, width / WIDTH, height / total)
+            axes = figure.add_axes(box, sharex=panels[0] if panels else None)
+            axes.yaxis.set_label_coords((Y_LABEL - self.left) / width, 0.5)
+            axes.xaxis.set_label_coords(0.5, -X_LABEL / height)
+            panels.append(axes)
+            bottom -= GAP
+        for axes in panels[:-1]:
+            axes.tick_params(labelbottom=False)
+        self.draw(*panels, *self.values)
+        if self.title:
+            panels[0].set_title(self.title)
+        legend(figure, panels[0], self.columns)
+        return figure
 
 
 def svg(figure: Figure) -> bytes:
@@ -146,11 +142,13 @@ def png(figure: Figure) -> bytes:
     return _saved(figure, format="png", metadata={"Software": None})
 
 
-def file_of(figure: Figure, kind: str) -> bytes:
-    """Return the figure as svg, png or pdf, byte for byte the same for the same figure."""
-    if kind == "pdf":
-        return _saved(figure, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
-    return svg(figure) if kind == "svg" else png(figure)
+def file_of(panel: Panel, kind: str) -> bytes:
+    """Draw a panel as the content of an svg, png or pdf, byte for byte the same for the same panel."""
+    with page_style():
+        figure = panel.figure()
+        if kind == "pdf":
+            return _saved(figure, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+        return svg(figure) if kind == "svg" else png(figure)
 
 
 def _saved(figure: Figure, **options: Any) -> bytes:

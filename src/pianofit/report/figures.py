@@ -1,7 +1,4 @@
-"""Figures of the reference recording: spectra, attack, partials, levels and hammer force.
-
-Each function takes a result and computes the curves that it draws.
-"""
+"""Figures of the reference recording: spectra, attack, partials, levels and hammer force."""
 
 from __future__ import annotations
 
@@ -25,11 +22,9 @@ from .drawing import (
     INK,
     LINES,
     MEASURED,
-    legend,
+    Panel,
     log_axis,
-    make_figure,
     number_axis,
-    panel,
     points,
     span,
 )
@@ -37,7 +32,6 @@ from .text import BANDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 ATTACK_S = 0.03
 # Damping of the spectra, 1/s. The peaks are narrow enough to separate partials and wide enough to be visible.
@@ -49,6 +43,8 @@ ARROW = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # outline of an 
 # Decay rates below this share of the slowest of the string are drawn at the edge of the axis.
 SLOWEST = 0.1
 NODE = 60.0  # dB below all measured levels; lower levels are not drawn
+Curves = dict[str, tuple[np.ndarray, np.ndarray]]  # x and y by name
+Band = tuple[float, float, str, bool]  # of the criterion: low and high end, Hz, label, is excluded
 
 
 # --- spectra and attack -----------------------------------------------------------------------------------------------
@@ -63,39 +59,41 @@ def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray,
     return np.fft.rfftfreq(size, 1 / rate)[keep], 20 * np.log10(np.maximum(value[keep], 1e-15))
 
 
-def draw_spectra(result: Result) -> list[Figure]:
+def draw_spectra(result: Result) -> list[Panel]:
     """Draw the spectra: two panels if the last band is much wider than the others, to show the first partials."""
-    edges = _band_edges(result.fit.criterion, _highest_frequency(result))
+    spectra, edges = spectra_of(result)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     limits = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    return [make_figure(draw_spectrum, result, part) for part in pairwise(limits)]
+    return [Panel(draw_spectrum, (spectra, edges, part)) for part in pairwise(limits)]
 
 
-def draw_spectrum(axes: Axes, result: Result, part: tuple[float, float] | None = None) -> None:
-    """Draw measured, initial and fitted spectrum, and the bands of the criterion.
-
-    With a `part` of the frequencies, Hz, the bands have names.
-    """
-    recording, top = result.recording, _highest_frequency(result)
+def spectra_of(result: Result) -> tuple[Curves, list[Band]]:
+    """Return frequencies, Hz, and levels, dB, of the measured, initial and fitted sound, and the visible bands."""
+    recording, analysis = result.recording, result.analysis
+    above_partials = float(law_frequency(analysis.f0, analysis.B, analysis.partials.number.max() + 2))
+    top = min(0.5 * recording.rate, HIGHEST_FREQUENCY, above_partials)
     sounds = {"measured": recording.samples, "initial": result.initial.samples, "fitted": result.fitted.samples}
     spectra = {name: spectrum_db(samples[recording.onset :], recording.rate, top) for name, samples in sounds.items()}
+    return spectra, _band_edges(result.fit.criterion, top)
+
+
+def draw_spectrum(
+    axes: Axes,
+    spectra: Curves,
+    edges: list[Band],
+    part: tuple[float, float] | None = None,
+) -> None:
+    """Draw `spectra_of` a result. With a `part` of the frequencies, Hz, the bands have names."""
     for name, (frequency, db) in spectra.items():
         axes.plot(frequency, db, label=name, **LINES[name])
-    edges = _band_edges(result.fit.criterion, top)
     bottom, highest = span(spectra["measured"][1], spectra["fitted"][1])
     axes.set(xlim=part or (edges[0][0], edges[-1][1]), ylim=(max(bottom, highest - 110) - 6, highest + 12))
     axes.set(xlabel="frequency (Hz)", ylabel="level (dB)")
     _shade_bands(axes, edges, named=part is not None)
 
 
-def _highest_frequency(result: Result) -> float:
-    analysis, rate = result.analysis, result.recording.rate
-    above_partials = float(law_frequency(analysis.f0, analysis.B, analysis.partials.number.max() + 2))
-    return min(0.5 * rate, HIGHEST_FREQUENCY, above_partials)
-
-
-def _band_edges(criterion: Criterion, end: float) -> list[tuple[float, float, str, bool]]:
-    """Return (low, high, label, is excluded) of each visible band. Bands have names if their borders match a set."""
+def _band_edges(criterion: Criterion, end: float) -> list[Band]:
+    """Return each visible band. Bands have names if their borders match a set."""
     excluded, borders = criterion.excluded_bands, [border for border in criterion.borders if np.isfinite(border)]
     pairs = list(pairwise(borders)) or [(0.0, end)]
     used = [name for name in BANDS if name not in excluded]
@@ -107,7 +105,7 @@ def _band_edges(criterion: Criterion, end: float) -> list[tuple[float, float, st
     ]
 
 
-def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]], named: bool) -> None:
+def _shade_bands(axes: Axes, edges: list[Band], named: bool) -> None:
     start, stop = axes.get_xlim()
     for index, (low, high, label, is_excluded) in enumerate(edges):
         low, high = max(low, start), min(high, stop)
@@ -130,10 +128,10 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]], named:
         axes.text(x, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def draw_attacks(result: Result) -> list[Figure]:
+def draw_attacks(result: Result) -> list[Panel]:
     """Draw the waveform before and after the fit."""
-    titles = {"initial": "Before the fit", "fitted": "After the fit"}
-    return [make_figure(draw_attack, result, name, title=title) for name, title in titles.items()]
+    titles, waves = {"initial": "Before the fit", "fitted": "After the fit"}, attack_waves(result)
+    return [Panel(draw_attack, (*waves, name), title) for name, title in titles.items()]
 
 
 def attack_waves(result: Result) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -149,9 +147,8 @@ def attack_waves(result: Result) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return 1e3 * np.arange(len(waves["measured"])) / recording.rate, waves
 
 
-def draw_attack(axes: Axes, result: Result, name: str) -> None:
+def draw_attack(axes: Axes, ms: np.ndarray, waves: dict[str, np.ndarray], name: str) -> None:
     """Draw the waveforms of the first milliseconds, with one scale for all panels."""
-    ms, waves = attack_waves(result)
     for curve in ("measured", name):
         axes.plot(ms, waves[curve], label=curve, **LINES[curve])
     low, high = span(*waves.values())
@@ -162,18 +159,20 @@ def draw_attack(axes: Axes, result: Result, name: str) -> None:
 # --- partials ---------------------------------------------------------------------------------------------------------
 
 
-def draw_partials(result: Result) -> list[Figure]:
+def draw_partials(result: Result) -> list[Panel]:
     """Draw frequencies and decay rates of the partials."""
-    return [_frequencies(result), make_figure(_draw_decays, result, height=HEIGHT + 0.12)]
+    return [
+        Panel(_draw_frequencies, (result,), heights=(0.68 * HEIGHT, 0.32 * HEIGHT)),
+        Panel(_draw_decays, (result,), heights=(HEIGHT + 0.12,)),
+    ]
 
 
-def _frequencies(result: Result) -> Figure:
+def _draw_frequencies(cents: Axes, residual: Axes, result: Result) -> None:
     """Draw the deviations of the partials from k f0, and below them their residuals from the stiff string."""
     partials, f0, B = result.analysis.partials, result.fit.derived.f0, result.fit.derived.B
     k = partials.number
     measured, fitted = (1200 * np.log2(f / (k * f0)) for f in (partials.frequency, law_frequency(f0, B, k)))
     error = CENTS * partials.frequency_error / partials.frequency
-    figure, (cents, residual) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, k, measured, error)
     cents.plot(k, fitted, label="fitted string", **LINES["fitted"])
     cents.set(title="Frequency", ylabel="cents above k·f₀")
@@ -181,8 +180,6 @@ def _frequencies(result: Result) -> Figure:
     residual.axhline(0.0, **LINES["fitted"])
     residual.set(ylabel="residual (cents)", xlabel="partial number k")
     number_axis(cents, k)
-    legend(figure, cents)
-    return figure
 
 
 def _draw_decays(axes: Axes, result: Result) -> None:
@@ -203,9 +200,23 @@ def _draw_decays(axes: Axes, result: Result) -> None:
     number_axis(axes, k)
 
 
-def draw_reference_levels(result: Result) -> list[Figure]:
-    """Draw the levels of the partials and their residuals."""
-    return [make_figure(draw_levels, result.fit.reference.partials, title="Levels"), _residuals(result)]
+def draw_reference_levels(result: Result) -> list[Panel]:
+    """Draw the levels of the partials, and their residuals, below which is the output path if there is one."""
+    levels, path, partials = result.fit.reference.partials, result.note.path, result.analysis.partials
+
+    def draw_residuals(error: Axes, *below: Axes) -> None:
+        for name, marker, model in _model_levels(levels):
+            error.plot(levels.number, model - levels.measured, marker=marker, ms=3.4, label=name, **LINES[name])
+        error.axhline(0.0, color=MEASURED, lw=1)
+        error.set(ylabel="model − measured (dB)")
+        if path is not None:
+            below[0].plot(partials.number, path.at(partials.frequency), color=FITTED, lw=1.4, marker="D", ms=3)
+            below[0].set_ylabel("output path (dB)")
+        (below or [error])[-1].set_xlabel("partial number k")
+        number_axis(error, levels.number)
+
+    heights = (HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)
+    return [Panel(draw_levels, (levels,), "Levels"), Panel(draw_residuals, (), "Residuals", heights)]
 
 
 def draw_levels(axes: Axes, levels: PartialLevels) -> None:
@@ -227,30 +238,13 @@ def _model_levels(levels: PartialLevels) -> list[tuple[str, str, np.ndarray]]:
     return [(name, marker, np.where(level > lowest, level, np.nan)) for name, marker, level in columns]
 
 
-def _residuals(result: Result) -> Figure:
-    """Draw the residuals of the levels, and below them the output path if there is one."""
-    levels, path, partials = result.fit.reference.partials, result.note.path, result.analysis.partials
-    figure, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
-    for name, marker, model in _model_levels(levels):
-        error.plot(levels.number, model - levels.measured, marker=marker, ms=3.4, label=name, **LINES[name])
-    error.axhline(0.0, color=MEASURED, lw=1)
-    error.set(title="Residuals", ylabel="model − measured (dB)")
-    if path is not None:
-        below[0].plot(partials.number, path.at(partials.frequency), color=FITTED, lw=1.4, marker="D", ms=3)
-        below[0].set_ylabel("output path (dB)")
-    (below or [error])[-1].set_xlabel("partial number k")
-    number_axis(error, levels.number)
-    legend(figure, error)
-    return figure
-
-
 # --- contact ----------------------------------------------------------------------------------------------------------
 
 
-def draw_contact(result: Result) -> list[Figure]:
+def draw_contact(result: Result) -> list[Panel]:
     """Draw the hammer force over time, and over the compression of the felt."""
-    titles = {draw_force: "Force over time", draw_loop: "Force over compression"}
-    return [make_figure(draw, result, title=title) for draw, title in titles.items()]
+    ms, curves = contact_of(result)
+    return [Panel(draw_force, (ms, curves), "Force over time"), Panel(draw_loop, (curves,), "Force over compression")]
 
 
 def _strokes(result: Result) -> dict[str, Simulation]:
@@ -262,7 +256,7 @@ def _strokes(result: Result) -> dict[str, Simulation]:
     return {name: note.strike(round(row.rate)) for name, note in notes.items()}
 
 
-def _contact(result: Result) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+def contact_of(result: Result) -> tuple[np.ndarray, Curves]:
     """Return times, ms from the first contact, and compression, mm, and force, N, before and after the fit."""
     strokes = _strokes(result)
     # 10 % longer than the last contact.
@@ -278,18 +272,16 @@ def _contact(result: Result) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np
     return 1e3 * float(strokes["fitted"].modes.step) * np.arange(steps), curves
 
 
-def draw_force(axes: Axes, result: Result) -> None:
-    """Draw the hammer force over time before and after the fit."""
-    ms, curves = _contact(result)
+def draw_force(axes: Axes, ms: np.ndarray, curves: Curves) -> None:
+    """Draw the hammer force over time before and after the fit, from `contact_of` a result."""
     for name, (_, force) in curves.items():
         axes.plot(ms, force, label=name, **LINES[name])
     axes.set(xlabel="time from the first contact (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
 
 
-def draw_loop(axes: Axes, result: Result) -> None:
-    """Draw force over compression, with arrowheads for the direction."""
-    _, curves = _contact(result)
+def draw_loop(axes: Axes, curves: Curves) -> None:
+    """Draw force over compression, with arrowheads for the direction, from `contact_of` a result."""
     for name, (compression, force) in curves.items():
         contact = np.where(compression > 0, 1.0, np.nan)
         axes.plot(compression * contact, force * contact, label=name, **LINES[name])

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..conversions import HALF_WIDTH_95
 from ..excitation import STROKES
-from ..schema.fit import Fit, PathEntry, RecordingFit
-from .drawing import FITTED, GROUPS, HEIGHT, INITIAL, INK, LINES, MEASURED, make_figure, number_axis, points, span
+from ..schema.fit import Fit, PartialLevels, PathEntry, RecordingFit
+from .drawing import FITTED, GROUPS, HEIGHT, INITIAL, INK, LINES, MEASURED, Panel, number_axis, points, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from ..result.cross_validation import LeftOutRecording
 
@@ -28,36 +28,43 @@ LEFT_OUT = {  # attribute -> label, marker style
 }
 
 
-def draw_recordings(fit: Fit) -> list[Figure]:
+def draw_recordings(fit: Fit) -> list[Panel]:
     """Draw the levels of the partials, a panel for each recording from soft to loud, with one scale; [] for one."""
     if len(fit.recordings) == 1:
         return []
     rows = sorted(enumerate(fit.recordings, start=1), key=lambda place: place[1].stroke_value)
     unit = STROKES[fit.excitation].unit
-    figures = [make_figure(_draw_recording, *row, unit, height=0.75 * HEIGHT) for row in rows]
-    panels = [figure.axes[0] for figure in figures]
-    low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
-    for axes in panels:
-        number_axis(axes, np.concatenate([row.partials.number for row in fit.recordings]))
-        axes.set_ylim(min(low), max(high))
-    return figures
+    number = np.concatenate([row.partials.number for row in fit.recordings])
+    low, high = zip(*(_limits(row.partials) for row in fit.recordings), strict=True)
+    values = number, (min(low), max(high)), unit
+    return [Panel(_draw_recording, (*row, *values), heights=(0.75 * HEIGHT,)) for row in rows]
 
 
-def _draw_recording(axes: Axes, place: int, row: RecordingFit, unit: str) -> None:
+def _limits(levels: PartialLevels) -> tuple[float, float]:
+    """Return the range of the levels of a recording, with a margin of 5 %."""
+    bars = HALF_WIDTH_95 * levels.error
+    low, high = span(levels.fitted, levels.measured - bars, levels.measured + bars)
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def _draw_recording(
+    axes: Axes, place: int, row: RecordingFit, number: np.ndarray, limits: tuple[float, float], unit: str
+) -> None:
     levels = row.partials
     axes.plot(levels.number, levels.fitted, marker="o", ms=2.6, label="fitted", **LINES["fitted"])
     points(axes, levels.number, levels.measured, levels.error)
     axes.set_title(f"recording {place}: {row.stroke_value:.3g} {unit}, error {row.levels.fitted_db:.1f} dB")
-    axes.set(ylabel="level (dB)", xlabel="partial number k")
+    axes.set(ylabel="level (dB)", xlabel="partial number k", ylim=limits)
+    number_axis(axes, number)
 
 
-def draw_paths(fit: Fit) -> list[Figure]:
+def draw_paths(fit: Fit) -> list[Panel]:
     """Draw the output path at the partials, in one colour for each path group; [] for one or calibrated recordings."""
     groups = fit.pickup.paths
     paths = [groups[group] for group in sorted(groups, key=int)] or [fit.pickup.path]
     if len(fit.recordings) == 1 or None in paths:
         return []
-    return [make_figure(_draw_paths, paths, legend_rows=len(paths) > 1)]
+    return [Panel(_draw_paths, (paths,), legend_rows=len(paths) > 1)]
 
 
 def _draw_paths(axes: Axes, paths: Sequence[PathEntry]) -> None:
@@ -73,12 +80,12 @@ def _draw_paths(axes: Axes, paths: Sequence[PathEntry]) -> None:
     axes.set_xlim(low - 0.02 * (high - low) - 1.0, high + 0.02 * (high - low) + 1.0)
 
 
-def draw_left_out(recordings: Sequence[LeftOutRecording], unit: str = "m/s") -> list[Figure]:
+def draw_left_out(recordings: Sequence[LeftOutRecording], unit: str) -> list[Panel]:
     """Draw the errors of each recording left out, in order of its stroke, with two references without a model.
 
     `unit` is that of the parameter of a stroke.
     """
-    return [make_figure(_draw_left_out, recordings, unit, legend_rows=len(LEFT_OUT), columns=1)] if recordings else []
+    return [Panel(_draw_left_out, (recordings, unit), legend_rows=len(LEFT_OUT), columns=1)] if recordings else []
 
 
 def _draw_left_out(axes: Axes, recordings: Sequence[LeftOutRecording], unit: str) -> None:

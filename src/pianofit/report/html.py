@@ -15,16 +15,14 @@ import base64
 import hashlib
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 from ..io.files import replace_file
-from .drawing import COLOURS
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
+from ..io.number_format import counted, number
+from .drawing import COLOURS, Panel, page_style, svg
 
 KIT = "pianofit.report"
 # A heading with an id, for the table of contents.
@@ -61,25 +59,9 @@ def page_bytes(
     filters : additional filters of the template.
     strict : if True, a missing entry of `content` is an error; otherwise it is empty.
     """
-    script = "".join(asset(name, package) for name in scripts)
-    page = templates(package, strict=strict, filters=filters).get_template(template)
-    html = page.render(
-        title=title,
-        contents=contents,
-        style="".join(asset(name, package) for name in ("page.css", *styles)),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        **content,
-    )
-    return html.encode("utf-8", errors="replace")
-
-
-def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:
-    """Return the environment of the templates of a package and of this one, with filters for numbers."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
-    from ..io.number_format import counted, number
-
+    script = "".join(asset(name, package) for name in scripts)
     environment = Environment(
         loader=FunctionLoader(lambda name: asset(name, package)),
         autoescape=True,
@@ -88,7 +70,15 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
         undefined=StrictUndefined if strict else Undefined,
     )
     environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
-    return environment
+    html = environment.get_template(template).render(
+        title=title,
+        contents=contents,
+        style="".join(asset(name, package) for name in ("page.css", *styles)),
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        **content,
+    )
+    return html.encode("utf-8", errors="replace")
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -105,20 +95,21 @@ def asset(name: str, package: str) -> str:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def picture(panels: Sequence[bytes]) -> list[str]:
-    """Return the panels of a picture, from `drawing.svg`, as HTML elements for the macro `picture`.
+def pictures(panels: Mapping[str, Iterable[Panel]]) -> dict[str, list[str]]:
+    """Draw the panels of the pictures of a page, by name, as HTML elements for the macro `picture`.
 
     Each is as wide as its frame, and its ids differ from those of all other figures.
     """
-    return [_svg_element(svg) for svg in panels]
+    with page_style():
+        return {name: [_svg_element(svg(panel.figure())) for panel in own] for name, own in panels.items()}
 
 
-def _svg_element(svg: bytes) -> str:
-    root = ElementTree.fromstring(svg)  # noqa: S314  (written by matplotlib just now)
+def _svg_element(content: bytes) -> str:
+    root = ElementTree.fromstring(content)  # noqa: S314  (written by matplotlib just now)
     values = [value for node in root.iter() for value in node.attrib.values()]
     referenced = {value[1:] for value in values if value.startswith("#")}
     referenced |= {name for value in values for name in REFERENCE.findall(value)}
-    _clean(root, f"f{hashlib.sha256(svg).hexdigest()[:8]}-", referenced)
+    _clean(root, f"f{hashlib.sha256(content).hexdigest()[:8]}-", referenced)
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     return ElementTree.tostring(root, encoding="unicode")

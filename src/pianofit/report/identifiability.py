@@ -23,12 +23,11 @@ from ..io.number_format import (
 from ..result import Result
 from ..schema.fit import Fit
 from ..schema.quantities import MEANINGS, Covariance, Quantity
-from .drawing import FITTED, INITIAL, INK, MEASURED, PAPER, make_figure
+from .drawing import FITTED, INITIAL, INK, MEASURED, PAPER, Panel
 from .text import SYMBOLS, VELOCITY_RATIO
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
 CONDITIONAL = "Not identifiable, unless the model and its output path are exactly correct"
@@ -124,14 +123,14 @@ def half_widths(fit: Fit) -> list[tuple[str, float, bool]]:
     return [(name, half, is_invariant) for name, half, is_invariant in halves if half is not None]
 
 
-def draw_identifiability(result: Result) -> list[Figure]:
+def draw_identifiability(result: Result) -> list[Panel]:
     """Draw half intervals on a logarithmic scale, and the table of correlations in colours; [] without intervals."""
     correlation, halves = result.correlation, half_widths(result.fit)
     if correlation is None or not correlation.names:
         return []
     height = 0.32 * max(len(halves), len(correlation.names), 5)
     panels = {_draw_half_widths: halves, draw_correlations: correlation}
-    return [make_figure(draw, data, height=height, left=0.9, legend_rows=0) for draw, data in panels.items()]
+    return [Panel(draw, (data,), heights=(height,), left=0.9, legend_rows=0) for draw, data in panels.items()]
 
 
 def _draw_half_widths(axes: Axes, entries: list[tuple[str, float, bool]]) -> None:

@@ -19,7 +19,7 @@ PARTIALS = 3
 EQUAL_DB = 0.5
 
 
-def in_short(result: Result, clips: Sequence[Clip], decays: Sequence[PartialDecay] = ()) -> list[tuple[str, str]]:
+def in_short(result: Result, clips: Sequence[Clip], decays: Sequence[PartialDecay]) -> list[tuple[str, str]]:
     """List (what, sentence) of a fit.
 
     Parameters

@@ -17,11 +17,10 @@ from ..modal_response import partial_band
 from ..model.modal_response import PartialDecay
 from ..result import Result
 from ..schema.modal_response import FittedModalResponse, RenderModel
-from .drawing import FITTED, HEIGHT, INITIAL, LINES, make_figure, panel, span
+from .drawing import FITTED, HEIGHT, INITIAL, LINES, Panel, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 LABELS: dict[RenderModel, str] = {
     "string model": "string model alone",
@@ -134,11 +133,11 @@ def envelopes_of(result: Result, numbers: list[int]) -> list[Envelope]:
     return envelopes
 
 
-def draw_envelopes(result: Result) -> list[Figure]:
+def draw_envelopes(result: Result) -> list[Panel]:
     """Draw the envelopes of the strongest partials."""
     reference = result.reference
     strongest = sorted(reference.partials.number[np.argsort(reference.level)[-ENVELOPES:]].tolist())
-    return [make_figure(draw_envelope, one, height=0.6 * HEIGHT) for one in envelopes_of(result, strongest)]
+    return [Panel(draw_envelope, (one,), heights=(0.6 * HEIGHT,)) for one in envelopes_of(result, strongest)]
 
 
 def draw_envelope(axes: Axes, envelope: Envelope) -> None:
@@ -174,7 +173,7 @@ def spectrograms_of(result: Result) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     return time[frames], mel_edges(n, MEL_BANDS, recording.rate)[1:-1], recorded, played
 
 
-def draw_spectrograms(result: Result) -> list[Figure]:
+def draw_spectrograms(result: Result) -> list[Panel]:
     """Draw the spectrograms of both sounds, and their difference."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -182,29 +181,29 @@ def draw_spectrograms(result: Result) -> list[Figure]:
     signs = LinearSegmentedColormap.from_list("difference", [INITIAL, "#ffffff", FITTED])
     time, frequency, measured, fitted = spectrograms_of(result)
     limits, difference = span(measured), (-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
-    return [
-        _draw_map(time, frequency, measured, "recorded", levels, limits, "level (dB)"),
-        _draw_map(time, frequency, fitted, "fitted note", levels, limits, "level (dB)"),
-        _draw_map(time, frequency, fitted - measured, "fitted minus recorded", signs, difference, "difference (dB)"),
-    ]
+    maps = {
+        "recorded": (measured, levels, limits, "level (dB)"),
+        "fitted note": (fitted, levels, limits, "level (dB)"),
+        "fitted minus recorded": (fitted - measured, signs, difference, "difference (dB)"),
+    }
+    return [Panel(_draw_map, (time, frequency, *values), title, legend_rows=2) for title, values in maps.items()]
 
 
 def _draw_map(
-    time: np.ndarray, frequency: np.ndarray, db: np.ndarray, title: str, colours: Any, limits: Any, label: str
-) -> Figure:
+    axes: Axes, time: np.ndarray, frequency: np.ndarray, db: np.ndarray, colours: Any, limits: Any, label: str
+) -> None:
     """Draw levels [bands, frames] as an image, with its colour scale below."""
-    figure, (axes,) = panel(HEIGHT, legend_rows=2)
+    figure: Any = axes.figure
     bands, end = np.arange(len(frequency)), max(span(time)[1], 1e-3)
     extent = (0.0, end, -0.5, len(bands) - 0.5)
     style: dict[str, Any] = {"aspect": "auto", "origin": "lower", "interpolation": "nearest"}
     image = axes.imshow(db, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, **style)
     ticks = [tick for tick in TICKS if frequency[0] <= tick <= frequency[-1]]
     axes.set_yticks(np.interp(ticks, frequency, bands), [f"{tick:g}" for tick in ticks])
-    axes.set(title=title, xlabel="time from the onset (s)", ylabel="frequency (Hz)")
+    axes.set(xlabel="time from the onset (s)", ylabel="frequency (Hz)")
     axes.grid(visible=False)
     box, height = axes.get_position(), figure.get_figheight()
     scale = figure.add_axes((box.x0, 0.36 / height, 0.55 * box.width, 0.1 / height))
     figure.colorbar(image, cax=scale, orientation="horizontal", label="")
     scale.text(1.05, 0.5, label, transform=scale.transAxes, va="center")
     scale.grid(visible=False)
-    return figure

@@ -5,14 +5,14 @@ Each label then has its own hue, and its legend entries contain the label.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
 from ..result import Result
 from .drawing import FITTED, GROUP, INITIAL, LAW, MEASURED, STYLE
-from .figures import draw_force, draw_levels, draw_spectrum
+from .figures import contact_of, draw_force, draw_levels, draw_spectrum, spectra_of
 from .identifiability import draw_correlations
 from .modal_response import draw_envelope, envelopes_of
 from .static_law import draw_static_law, static_law
@@ -41,13 +41,12 @@ class Plots:
 
     def spectrum(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw measured, initial and fitted spectrum, dB over Hz, with the bands of the criterion."""
-        result = self.result.with_recordings()
-        return drawn_on(ax, lambda axes: draw_spectrum(axes, result), label)
+        return drawn_on(ax, draw_spectrum, spectra_of(self.result.with_recordings()), label)
 
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the force of the hammer on the string, N over ms from the first contact, before and after the fit."""
         self._check_figure("force")
-        return drawn_on(ax, lambda axes: draw_force(axes, self.result), label)
+        return drawn_on(ax, draw_force, contact_of(self.result), label)
 
     def _check_figure(self, name: str) -> None:
         """Raise a `FitError` if the excitation of the fit does not have a figure."""
@@ -64,12 +63,11 @@ class Plots:
         Raises `FitError` if the fit was loaded from a file without a covariance.
         """
         self._check_figure("felt")
-        law = static_law(self.result)
-        return drawn_on(ax, lambda axes: draw_static_law(axes, law), label)
+        return drawn_on(ax, draw_static_law, (static_law(self.result),), label)
 
     def levels(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the levels of the partials, dB over the partial number, measured with 95 % bars, initial and fitted."""
-        return drawn_on(ax, lambda axes: draw_levels(axes, self.result.fit.reference.partials), label)
+        return drawn_on(ax, draw_levels, (self.result.fit.reference.partials,), label)
 
     def envelopes(self, ax: Axes | None = None, *, number: int | None = None, label: str | None = None) -> Axes:
         """Draw the level of one partial, dB over s: measured, with the string model, and with the modes of the key.
@@ -83,8 +81,7 @@ class Plots:
             raise ParameterError(
                 f"number={number} is not a partial of this recording; choose one of {measured.tolist()}"
             )
-        (envelope,) = envelopes_of(self.result, [chosen])
-        return drawn_on(ax, lambda axes: draw_envelope(axes, envelope), label)
+        return drawn_on(ax, draw_envelope, envelopes_of(self.result, [chosen]), label)
 
     def correlations(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the correlations of the estimates, %; without a measured velocity, at the reference velocity shown.
@@ -94,7 +91,7 @@ class Plots:
         correlation = self.result.correlation
         if correlation is None or not correlation.names:
             raise FitError("this fit has no intervals and therefore no correlations; use the default recipe")
-        axes = drawn_on(ax, lambda axes: draw_correlations(axes, correlation), None, (6.4, 5.6))
+        axes = drawn_on(ax, draw_correlations, (correlation,), size=(6.4, 5.6))
         axes.set(xlabel="logarithm of the parameter", ylabel="logarithm of the parameter")
         if label is not None:
             axes.set_title(f"{axes.get_title(loc='left')}: {label}", loc="left")
@@ -102,9 +99,13 @@ class Plots:
 
 
 def drawn_on(
-    ax: Axes | None, draw: Callable[[Axes], None], label: str | None = None, size: tuple[float, float] = (8.0, 4.4)
+    ax: Axes | None,
+    draw: Callable[..., None],
+    values: Sequence[Any],
+    label: str | None = None,
+    size: tuple[float, float] = (8.0, 4.4),
 ) -> Axes:
-    """Draw into `ax` or into new axes, with a legend. If `ax` contains a drawing, the limits then include both.
+    """Draw values into `ax` or new axes, with a legend. If `ax` contains a drawing, the limits then include both.
 
     With a label, line style still distinguishes measured, initial and fitted, and the hue distinguishes the results.
     """
@@ -114,7 +115,7 @@ def drawn_on(
         axes = plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
         limits = (axes.get_xlim(), axes.get_ylim()) if axes.has_data() else None
         title, before = axes.get_title(loc="left"), {*axes.get_children(), *axes.containers}
-        draw(axes)
+        draw(axes, *values)
         if label is not None:
             ids = {str(artist.get_gid()) for artist in axes.get_children()}
             earlier = {one for one in ids if one.startswith(GROUP_ID)} - {GROUP_ID + label}

@@ -8,11 +8,10 @@ import numpy as np
 
 from ..model.note import Note
 from ..result import Result
-from .drawing import FITTED, GROUPS, INK, make_figure, number_axis
+from .drawing import FITTED, GROUPS, INK, Panel, number_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Modes and points of the shape: it is drawn to a thousandth of its height.
 MODES, POINTS = 512, 601
@@ -20,12 +19,12 @@ MODES, POINTS = 512, 601
 LOWEST = -80.0
 
 
-def draw_release(result: Result) -> list[Figure]:
+def draw_release(result: Result) -> list[Panel]:
     """Draw the shape of the string at the release for each recording, and its levels."""
     count = int(result.fit.reference.partials.number.max())
     return [
-        make_figure(_draw_shapes, result, title="String at the release", legend_rows=0),
-        make_figure(_draw_levels, result.note, count, title="Levels of the initial displacement", legend_rows=0),
+        Panel(_draw_shapes, (result,), "String at the release", legend_rows=0),
+        Panel(_draw_levels, (result.note, count), "Levels of the initial displacement", legend_rows=0),
     ]
 
 

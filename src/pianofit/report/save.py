@@ -44,11 +44,11 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
             files[DRAWS_FILE] = encode_draws(result.draws)
             fit = replace(fit, draws=DrawsFile(DRAWS_FILE, hashlib.sha256(files[DRAWS_FILE]).hexdigest()))
         files["fit.json"] = encode_json(fit)
-        files |= {} if report is None else {"report.html": report}
+        if report is not None:
+            files["report.html"] = report
         for name, content in files.items():
             replace_file(folder / name, content)
-        written = {*files}
-        for old in earlier - written:
+        for old in earlier - {*files}:
             (folder / old).unlink(missing_ok=True)
     return folder
 

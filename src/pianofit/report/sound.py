@@ -10,20 +10,37 @@ from __future__ import annotations
 
 import base64
 import math
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..dsp.filters import reduce_rate
 from ..dsp.loudness import k_weighted_mean_square
+from ..errors import FitError, ParameterError
 from ..io.files import PEAK_LIMIT, encode_pcm
+from ..io.number_format import number
 from .html import data_uri
+
+if TYPE_CHECKING:
+    from ..result import Result
 
 SECONDS = 8.0  # of each sound; three mono sounds at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s, before the onset
 FADE = 0.05  # s, at the end, because many recordings are cut off
 HIGHEST_RATE = 96_000  # Hz; every browser must support it in Web Audio
 LIGHT_RATE = 32_000  # Hz, for pages with many sounds; its bandwidth is 16 kHz
+# Length of the sounds of the reference recording in stereo, s; in mono it is `SECONDS`.
+STEREO_SECONDS = 5.0
+# Samples of the sounds of all other recordings together: 2 MB.
+OTHER_SAMPLES = 1_000_000
+LONGEST_OTHER, SHORTEST_OTHER = 4.0, 1.5  # s, of each of these sounds
+STROKES = 7  # velocities of the slider
+STROKE_SECONDS = 2.5
+# Recordings whose velocities differ by less than this ratio do not define a range of velocities. The slider then goes
+# down and up by the second ratio.
+SMALLEST_RANGE, DEFAULT_RANGE = 1.3, 2.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +50,6 @@ class Clip:
     name: str
     wav: bytes
     gain_db: float
-    rate: int
     seconds: float
 
     @property
@@ -83,7 +99,7 @@ def make_clips(
     for name, samples in excerpts.items():
         gain = gains[name] * common
         wav = encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16)
-        clips.append(Clip(name, wav, 20 * math.log10(gain), rate, samples.shape[-1] / rate))
+        clips.append(Clip(name, wav, 20 * math.log10(gain), samples.shape[-1] / rate))
     return clips
 
 
@@ -102,3 +118,70 @@ def excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor
     fade = round(FADE * rate)
     kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)[-kept.shape[-1] :]
     return reduce_rate(kept, factor)
+
+
+# --- a fit ------------------------------------------------------------------------------------------------------------
+
+
+def clips_of(result: Result) -> list[Clip]:
+    """Return the sounds of the reference recording: recorded and two of the model."""
+    reference, recording = result.reference, result.recording
+    if reference.with_modes is None:
+        fitted = {"initial": result.initial.samples, "fitted": reference.sound}
+    else:
+        fitted = {"fitted": reference.sound, "string model": result.fitted.samples}
+    recorded = recording.samples if reference.final.frames is None else recording.frames
+    # Few listeners can play more than two channels.
+    sounds = {
+        name: x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
+        for name, x in ({"original": recorded} | fitted).items()
+    }
+    seconds = SECONDS if all(x.ndim == 1 for x in sounds.values()) else STEREO_SECONDS
+    return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds)
+
+
+def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
+    """Return sounds of the reference recording's note by value of the stroke, and if these are within the recordings.
+
+    The range is that of the recordings, or from half to twice the value of a single one. The sounds are means of the
+    channels and begin `pre_onset_s` before the contact. Strokes that cannot be rendered are left out.
+    """
+    velocities = [row.stroke_value for row in result.fit.recordings]
+    low, high = min(velocities), max(velocities)
+    is_recorded_range = high / low > SMALLEST_RANGE
+    if not is_recorded_range:
+        middle = np.sqrt(low * high)
+        lower, upper = result.draw_set.law.stroke.bounds(result.note.geometry)
+        low, high = max(middle / DEFAULT_RANGE, lower), min(middle * DEFAULT_RANGE, upper)
+    note, rate, sounds = result.note, result.recording.rate, {}
+    for velocity in np.geomspace(low, high, STROKES).tolist():
+        with suppress(FitError, ParameterError):  # a contact that does not end cannot be rendered
+            stroke, onset = note.with_stroke(velocity), round(note.pre_onset_s * rate)
+            sounds[velocity] = stroke.render_stroke(rate, int(STROKE_SECONDS * rate), onset)[0]
+    return sounds, is_recorded_range
+
+
+def slider_of(result: Result) -> dict[str, Any] | None:
+    """Return the slider of the stroke: sounds with one gain, and its initial position; None without two sounds."""
+    strokes, is_recorded_range = strokes_of(result)
+    if len(strokes) < 2:
+        return None
+    unit = result.draw_set.law.stroke.unit
+    sounds = {f"{number(velocity, 3)} {unit}": samples for velocity, samples in strokes.items()}
+    clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
+    first = int(np.abs(np.log(np.array([*strokes]) / result.note.stroke_value)).argmin())
+    return {"clips": clips, "first": first, "is_recorded_range": is_recorded_range}
+
+
+def players_of(result: Result) -> list[dict[str, Any]]:
+    """Return recorded and fitted sound of every recording except the reference, which has its own player."""
+    others = [i for i in range(len(result.recordings)) if i != result.reference_index]
+    seconds = seconds_each(len(others), OTHER_SAMPLES, LONGEST_OTHER, SHORTEST_OTHER)
+    players = []
+    for i in others:
+        recording, row = result.recordings[i].recording, result.fit.recordings[i]
+        sounds = {"original": recording.samples, "fitted": result.recordings[i].final.samples}
+        onset = recording.onset / recording.rate
+        clips = make_clips(sounds, recording.rate, onset, seconds=seconds, highest_rate=LIGHT_RATE)
+        players.append({"place": i + 1, "row": row, "clips": clips})
+    return players

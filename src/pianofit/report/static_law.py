@@ -1,4 +1,4 @@
-"""Static law of the felt, with its 95 % band: force over compression, for one fit or for two in comparison.
+"""Static law of the felt, with its 95 % band: force over compression.
 
 The covariance of a fit is that of logarithms. The static force K_H u^p of the felt at compression u has the logarithm
 log F = log K_H + p log u, whose derivative by log p is p log u. Its 95 % band follows from the covariance by these
@@ -19,33 +19,22 @@ from ..felt import law_of
 from ..felt.steps import static_force
 from ..result import FittedRecording, Result
 from .drawing import (
-    FITTED,
-    HEIGHT,
-    INITIAL,
-    INK,
     LINES,
     LOOP,
     MEASURED,
-    file_of,
-    legend,
+    Panel,
     log_axis,
-    make_figure,
-    page_style,
-    panel,
     span,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Points of the law, and of the loop of a stroke: more than a picture resolves.
 LAW_POINTS, LOOP_POINTS = 48, 400
 SMALLEST_REACH = 1e-12  # m, of a law, also without contact
 LARGEST_EXPONENT = 300.0  # so that exp does not overflow
 LARGEST_BAND = 1e6  # factor up to which the band of a law is drawn
-LARGEST_RATIO = 10.0  # limit of the axis of the ratio; the panel of the forces shows larger differences
-LONGEST_LABEL = 28  # characters, so that both labels fit below a figure
 
 
 @dataclass(frozen=True)
@@ -106,7 +95,7 @@ def largest_compression(result: Result) -> float:
 # --- figures of one fit -----------------------------------------------------------------------------------------------
 
 
-def draw_felt(result: Result) -> list[Figure]:
+def draw_felt(result: Result) -> list[Panel]:
     """Draw the static law with its band, and the loops of force over compression of all strokes."""
     law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
     rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
@@ -118,9 +107,7 @@ def draw_felt(result: Result) -> list[Figure]:
             style = {"marker": "o", "ms": 5, "ls": "none", "color": LINES["fitted"]["color"], "zorder": 6}
             axes.plot(mark, law.at(mark)[0], label="reference compression", **style)
 
-    return [
-        make_figure(draw_panel, draw, title=title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()
-    ]
+    return [Panel(draw_panel, (draw,), title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()]
 
 
 def draw_static_law(axes: Axes, law: StaticLaw) -> None:
@@ -142,13 +129,14 @@ def _loop(fitted: FittedRecording) -> tuple[np.ndarray, np.ndarray]:
 
 def _draw_law(axes: Axes, law: StaticLaw) -> None:
     name = "static law" if law.slow is None else "sudden compression"
-    _draw_band(axes, law.compression_mm, law.force, LINES["fitted"], name)
+    draw_band(axes, law.compression_mm, law.force, LINES["fitted"], name)
     if law.slow is not None:
-        _draw_band(axes, law.compression_mm, law.slow, LINES["initial"], "slow compression")
+        draw_band(axes, law.compression_mm, law.slow, LINES["initial"], "slow compression")
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
 
 
-def _draw_band(axes: Axes, u: np.ndarray, force: np.ndarray, style: dict[str, Any], name: str) -> None:
+def draw_band(axes: Axes, u: np.ndarray, force: np.ndarray, style: dict[str, Any], name: str) -> None:
+    """Draw a static force with its 95 % band [3, n]."""
     low, high = np.clip(force[1:], force[0] / LARGEST_BAND, force[0] * LARGEST_BAND)
     if (high > low).any():
         axes.fill_between(u, low, high, color=style["color"], alpha=0.18, lw=0, zorder=1, label=f"{name}, 95 %")
@@ -176,66 +164,3 @@ def _logarithmic(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, n
     axes.plot(largest, [0.03] * len(largest), "|", color=MEASURED, ms=13, mew=2, transform=transform, zorder=5)
     log_axis(axes.xaxis, (1, 3))
     log_axis(axes.yaxis, (1,))
-
-
-# --- two fits ---------------------------------------------------------------------------------------------------------
-
-
-def compared_laws(
-    laws: tuple[StaticLaw, StaticLaw], marks_mm: tuple[float, float], labels: tuple[str, str], unit: str, kind: str
-) -> bytes:
-    """Return the content of a file, svg, png or pdf, of both forces, and below them their ratio."""
-    with page_style():
-        rows = 2 * (1 + any(law.slow is not None for law in laws))
-        figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
-        draw_compared_laws(force, laws, marks_mm, labels, unit)
-        force.set(title="Static force of the felts", xlabel="")
-        _draw_ratio(ratio, laws, labels)
-        legend(figure, force, 2)
-        return file_of(figure, kind)
-
-
-def draw_compared_laws(
-    axes: Axes, laws: tuple[StaticLaw, StaticLaw], marks_mm: tuple[float, float], labels: tuple[str, str], unit: str
-) -> None:
-    """Draw both static laws with 95 % bands, and an error bar at the reference compression of each, `marks_mm`."""
-    u = laws[0].compression_mm
-    for law, mark, label, hue in zip(laws, marks_mm, _escape_labels(labels), (FITTED, INITIAL), strict=True):
-        _draw_band(axes, u, law.force, {"color": hue, "lw": 1.6, "zorder": 4}, label)
-        if law.slow is not None:
-            style = {"color": hue, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3}
-            _draw_band(axes, u, law.slow, style, f"{label}, slow")
-        if not u[0] <= mark <= u[-1]:
-            continue
-        force, low, high = law.at(mark)
-        bars = [[force - low], [high - force]]
-        axes.errorbar(mark, force, yerr=bars, fmt="o", ms=4, color=hue, lw=1.4, capsize=3, zorder=6)
-    _, top = span(*(curve[0] for law in laws for curve in (law.force, law.slow) if curve is not None))
-    highest = min(float(np.nanmax([law.force[2].max() for law in laws])), 2 * top)
-    axes.set(xlabel="compression of the felt (mm)", xlim=(0.0, 1.02 * u[-1]), ylim=(0.0, 1.05 * max(highest, 1e-9)))
-    axes.set_ylabel("static force (N)" if unit == "N" else "static force over string mass (N/kg)")
-
-
-def _escape_labels(labels: tuple[str, str]) -> list[str]:
-    """Return shortened labels that a legend shows literally. A "$" would begin a formula, and a "_" hide an entry."""
-    short = (label if len(label) <= LONGEST_LABEL else label[: LONGEST_LABEL - 1] + "…" for label in labels)
-    return [f"{' ' * label.startswith('_')}{label}".replace("$", r"\$") for label in short]
-
-
-def _draw_ratio(axes: Axes, laws: tuple[StaticLaw, StaticLaw], labels: tuple[str, str]) -> None:
-    """Draw the second force over the first, with the 95 % band of two independent fits."""
-    first, second = (np.log(np.maximum(law.force, np.finfo(float).tiny)) for law in laws)
-    ratio = second[0] - first[0]
-    half = np.hypot(second[2] - second[0], first[2] - first[0])
-    low, centre, high = (np.exp(np.clip(x, -100.0, 100.0)) for x in (ratio - half, ratio, ratio + half))
-    u, (first_label, second_label) = laws[0].compression_mm, _escape_labels(labels)
-    axes.fill_between(u, low, high, color=INK, alpha=0.15, lw=0)
-    axes.plot(u, centre, color=INK, lw=1.3)
-    axes.axhline(1.0, color=INK, lw=0.8, ls=":")
-    in_range = u >= u[-1] / 10  # bands are wide at small compressions
-    bottom, top = min(low[in_range].min(), 1.0), max(high[in_range].max(), 1.0)
-    margin = 0.08 * (top - bottom) + 1e-6
-    axes.set_ylim(max(bottom - margin, 1 / LARGEST_RATIO), min(top + margin, LARGEST_RATIO))
-    axes.set(ylabel="ratio", xlabel="compression of the felt (mm)")
-    text = f"{second_label} over {first_label}"
-    axes.text(0.99, 0.05, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8.5, color=INK)

@@ -200,13 +200,6 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
     ]
 
 
-def is_identified(fit: Fit, name: str) -> bool:
-    """Return whether a quantity of `schema.dependencies.STANDS_ON` stands only on identified quantities."""
-    reported = (*fit.parameters.values(), *fit.invariants.values())
-    states: dict[str, Status] = {quantity.name: quantity.status for quantity in reported}
-    return derived_status(name, states) not in ("not-identifiable", "at-bound")
-
-
 def _contact_tile(fit: Fit) -> list[tuple[str, str, str]]:
     """Return the tile of the contact. A value that is not identifiable is left out of the headline."""
     table, names = fit.derived.quantities, {"peak_force": "largest force", "peak_compression": "largest compression"}
@@ -251,8 +244,10 @@ def initial_hammer_text(fit: Fit) -> str:
     initial_hammer, fitted = fit.levels.reference_hammer_db, fit.levels.fitted_db
     if initial_hammer is None or fitted is None:
         return ""
+    reported = (*fit.parameters.values(), *fit.invariants.values())
+    states: dict[str, Status] = {quantity.name: quantity.status for quantity in reported}
     conclusion = "The levels of the partials therefore do not support the fitted hammer over the initial one."
-    if not is_identified(fit, "hammer"):
+    if derived_status("hammer", states) in ("not-identifiable", "at-bound"):
         conclusion = "The recordings do not identify the hammer, so this does not support the fitted one."
     elif initial_hammer > fitted + 0.1:
         conclusion = "The fitted hammer explains more of the levels."

@@ -22,11 +22,9 @@ from ..report.drawing import (
     LAW,
     MARKERS,
     MEASURED,
+    Panel,
     key_axis,
     log_axis,
-    make_figure,
-    page_style,
-    svg,
 )
 from ..schema.tuning import IntervalValue, OctaveType, TunedKey, Tuning
 
@@ -66,7 +64,7 @@ def write_page(path: str | os.PathLike[str], tuning: Tuning) -> None:
         off=[by_note[note] for note in tuning.off],
         wide=[by_note[note] for note in tuning.wide_unisons],
         beating=[key for key in tuning.keys if key.beats],
-        pictures={name: html.picture(panels) for name, panels in figures(tuning).items()},
+        pictures=html.pictures(panels_of(tuning)),
         filters={"cents": span_text, "digits": span_text},
         version=__version__,
     )
@@ -80,18 +78,15 @@ def span_text(it: IntervalValue | None, digits: int | None = None) -> str:
     return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
 
-def figures(tuning: Tuning) -> dict[str, list[bytes]]:
-    """Draw the panels of the page as SVG, by picture."""
+def panels_of(tuning: Tuning) -> dict[str, list[Panel]]:
+    """Return the panels of the page, by picture."""
     recorded = [key.midi for key in tuning.keys if key.recorded]
     near = (recorded[0] - MARGIN_KEYS, recorded[-1] + MARGIN_KEYS)
     spans = [(LOWEST_KEY - 1, HIGHEST_KEY + 1), (max(near[0], LOWEST_KEY - 1), min(near[1], HIGHEST_KEY + 1))]
-    size: dict[str, Any] = {"height": HEIGHT, "legend_rows": 2, "columns": 3}
-    with page_style():
-        panels = {
-            "curves": [make_figure(_curves, tuning, span, **size) for span in spans],
-            "others": [make_figure(_inharmonicity, tuning, columns=3), make_figure(_beats, tuning)],
-        }
-        return {name: [svg(figure) for figure in own] for name, own in panels.items()}
+    return {
+        "curves": [Panel(_curves, (tuning, span), heights=(HEIGHT,), legend_rows=2, columns=3) for span in spans],
+        "others": [Panel(_inharmonicity, (tuning,), columns=3), Panel(_beats, (tuning,))],
+    }
 
 
 def _curves(axes: Axes, tuning: Tuning, span: tuple[int, int]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -99,12 +100,12 @@ def choose_encodings(sounds: Sequence[EncodedSound], room: int) -> tuple[list[Kn
 
     They fit into `room` characters, unless no error of `ERRORS_DB` does.
     """
-    first, last = 0, len(ERRORS_DB) - 1
-    while first < last:  # the characters fall with the error
-        middle = (first + last) // 2
-        fits = sum(sound.smallest(ERRORS_DB[middle])[1] for sound in sounds) <= room
-        first, last = (first, middle) if fits else (middle + 1, last)
-    chosen = [sound.smallest(ERRORS_DB[first])[0] for sound in sounds]
+
+    def fits(error_db: float) -> bool:  # the characters fall with the error
+        return sum(sound.smallest(error_db)[1] for sound in sounds) <= room
+
+    error_db = ERRORS_DB[bisect_left(ERRORS_DB[:-1], True, key=fits)]
+    chosen = [sound.smallest(error_db)[0] for sound in sounds]
     return chosen, max(sound.error_db(encoding) for sound, encoding in zip(sounds, chosen, strict=True))
 
 
