@@ -277,7 +277,7 @@ def test_a_field_passes_through_exact_points_and_returns_to_its_mean_far_away():
     random = np.random.default_rng(2)
     octave, key = (axis.ravel() for axis in np.meshgrid(np.arange(6.0, 13.0), [30.0, 50.0, 70.0]))
     points = FieldPoints(octave, key, np.ones(21))
-    shape = FieldShape(3.0, 0.7, 2.0, 20.0, 2.0, 0.4, 6.0, 1e-4)
+    shape = FieldShape(3.0, 0.7, 2.0, 20.0, 2.0, 0.4, 6.0, 0.0, 1e-4)
     values = random.normal(size=21)
     assert Field(points, shape).weights(points) @ values == pytest.approx(values, abs=1e-3)
     far = FieldPoints(np.array([40.0]), np.array([900.0]), np.ones(1))
@@ -286,12 +286,27 @@ def test_a_field_passes_through_exact_points_and_returns_to_its_mean_far_away():
 
 def test_the_spreads_of_a_field_are_found():
     random = np.random.default_rng(4)
-    points = FieldPoints(random.uniform(5, 13, 300), random.integers(21, 109, 300).astype(float), np.ones(300))
-    true = FieldShape(5.0, 0.8, 2.0, 20.0, 3.0, 0.5, 8.0, 2.0)
-    covariance = true.covariance(points, points) + 4.0 * np.eye(300)
-    found = field_shape(points, np.linalg.cholesky(covariance) @ random.normal(size=300))
-    assert found.residual == pytest.approx(2.0, rel=0.3)
+    octave, key = (axis.ravel() for axis in np.meshgrid(np.linspace(5, 13, 20), np.arange(22.0, 109.0, 6)))
+    points = FieldPoints(octave, key, random.integers(1, 20, len(key)).astype(float))
+    true = FieldShape(5.0, 0.8, 2.0, 20.0, 3.0, 0.5, 8.0, 1.5, 3.0)
+    covariance = true.covariance(points, points) + np.diag(1.5**2 + 3.0**2 / points.size)
+    found = field_shape(points, np.linalg.cholesky(covariance) @ random.normal(size=len(key)))
+    assert (found.cell_sd, found.residual) == pytest.approx((1.5, 3.0), rel=0.4)
     assert found.common_sd + found.drift_sd == pytest.approx(8.0, rel=0.5)
+    assert found.drift_keys == pytest.approx(8.0, rel=0.5)
+
+
+def test_a_partial_of_two_guessed_keys_is_drawn_alike():
+    """Keys that the fields predict alike differ in nothing else, whatever number of partials they have."""
+    phases = [alike(midi, phase=midi) for midi in (26, 30, 34)]
+    fields = measure_fields(phases)
+    low, high = (guess_response(alike(midi).note, midi, alike(midi).law, fields) for midi in (28, 29))
+    count = min(low.partial.max(), high.partial.max())
+    angle = [
+        np.angle(one.pattern.mean(axis=0)[np.searchsorted(one.partial, range(1, count + 1))]) for one in (low, high)
+    ]
+    turned = np.exp(1j * (angle[0] - angle[1]))
+    assert turned.real.mean() > 0.7
 
 
 BAD = {

@@ -2,13 +2,16 @@
 
 A quantity of a partial, such as its level beyond the string model, is
 
-    u(f, n) = mean + common(log f) + trend(n) + drift(log f, n) + residual
+    u(f, n) = mean + common(log f) + trend(n) + drift(log f, n) + cell + residual
 
 All keys share `common`, because they share one soundboard. `trend` changes slowly from bass to treble. Neighbouring
 keys, which stand on neighbouring places of the bridge, share `drift` at one absolute frequency. All three are Gaussian
-processes; the residual is white. Every prediction is a sum of measured values with weights that follow from the
-covariance alone. So the same weights serve levels in all channels, decay curves and phases. Far from all measured
-points a prediction returns to the mean, without an edge.
+processes. The rest is white: the partials of one key within one cell of frequency share `cell`, and each partial has
+its own residual. Without `cell`, what these partials share would be taken for a drift over one or two keys.
+
+Every prediction is a sum of measured values with weights that follow from the covariance alone. So the same weights
+serve levels in all channels, decay curves and phases. Far from all measured points a prediction returns to the mean,
+without an edge.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from scipy.optimize import minimize
 # Standard deviation of the logarithms of spreads and lengths in their priors. It is wide: what the keys of an
 # instrument share is measured.
 FACTOR = 0.6
-SPREADS = ("common_sd", "trend_sd", "drift_sd", "residual")
+SPREADS = ("common_sd", "trend_sd", "drift_sd", "cell_sd", "residual")
 # Most points from which spreads and lengths are estimated. All points take part in predictions.
 MOST_POINTS = 500
 # Share of the variance added to the diagonal: rounding.
@@ -66,6 +69,7 @@ class FieldShape(NamedTuple):
     drift_sd: float = 0.5
     drift_octaves: float = 0.5
     drift_keys: float = 6.0
+    cell_sd: float = 0.5
     residual: float = 0.5
 
     def covariance(self, a: FieldPoints, b: FieldPoints) -> np.ndarray:
@@ -81,6 +85,10 @@ class FieldShape(NamedTuple):
         drift = self.drift_sd**2 * np.exp(-0.5 * octaves / self.drift_octaves**2 - 0.5 * keys / self.drift_keys**2)
         return common, trend, drift
 
+    def white(self, size: Any) -> Any:
+        """Variance of the mean of `size` partials of one cell about the smooth part."""
+        return self.cell_sd**2 + self.residual**2 / size
+
 
 @dataclass(frozen=True)
 class Field:
@@ -93,7 +101,7 @@ class Field:
     def _factor(self) -> Any:
         """Cholesky factor of the covariance of the measured values: one serves all keys that are predicted."""
         total = self.shape.covariance(self.points, self.points)
-        total[np.diag_indices(len(total))] += self.shape.residual**2 / self.points.size + JITTER * total[0, 0]
+        total[np.diag_indices(len(total))] += self.shape.white(self.points.size) + JITTER * total[0, 0]
         return cho_factor(total)
 
     def weights(self, at: FieldPoints) -> np.ndarray:
@@ -102,7 +110,7 @@ class Field:
 
     def variance(self, weights: np.ndarray, at: FieldPoints) -> np.ndarray:
         """Variance of the value of one partial about its prediction with these `weights` [at]."""
-        prior = sum(self.shape.parts(np.zeros(1), np.zeros(1))) + self.shape.residual**2
+        prior = sum(self.shape.parts(np.zeros(1), np.zeros(1))) + self.shape.white(1.0)
         explained = (weights * self.shape.covariance(at, self.points)).sum(axis=1)
         return prior - explained
 
@@ -123,7 +131,7 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
         shape = FieldShape(*np.exp(log_shape))
         common, trend, drift = shape.parts(octaves, keys)
         total = common + trend + drift
-        total[np.diag_indices(len(total))] += shape.residual**2 / points.size + JITTER
+        total[np.diag_indices(len(total))] += shape.white(points.size) + JITTER
         factor = np.linalg.cholesky(total)
         inverse, _ = potri(factor.T)  # the upper triangle; the other has zeros
         inverse += np.triu(inverse, 1).T
@@ -139,6 +147,7 @@ def field_shape(points: FieldPoints, values: np.ndarray) -> FieldShape:
                 by_drift.sum(),
                 0.5 * np.vdot(by_drift, octaves) / shape.drift_octaves**2,
                 0.5 * np.vdot(by_drift, keys) / shape.drift_keys**2,
+                np.trace(block) * shape.cell_sd**2,
                 np.sum(np.diag(block) * shape.residual**2 / points.size),
             ]
         )

@@ -32,6 +32,7 @@ from .guessed_knocks import guess_knock, static_part
 from .instrument import Key
 from .key_quantities import key_quantities, note_from_quantities
 from .measured_fields import (
+    MOST_PARTIALS,
     TIMES,
     VELOCITIES,
     KeyFields,
@@ -56,7 +57,7 @@ DOWN = 60.0
 FEWEST_PARTIALS = 3
 # Partials of a guessed key end half a semitone above the highest partials of the recorded keys.
 MARGIN_OCTAVES = 0.5 / 12
-# Seed of the drawn phases. Every key has its own sequence.
+# Seed of the drawn phases.
 SEED = 0
 
 
@@ -126,7 +127,7 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     # The expected power of a partial, whose level is uncertain.
     level = cells.points.predict(weights, cells.level) + fields.level.variance(weights, at) / DB
     size *= 10 ** (level / 20)
-    channels = size[:, None] * _draw_channels(weights, fields, np.random.default_rng([SEED, midi]))
+    channels = size[:, None] * _draw_channels(weights, fields)
     i, j = np.nonzero(share)
     pole = -decay[i, j] + 2j * np.pi * string.frequency[i]
     pattern = (channels[i] * share[i, j, None]).T
@@ -146,17 +147,19 @@ def _audible_partials(note: Note, midi: int, law: StringLaw, fields: KeyFields) 
     return Partials(string.frequency[:count], string.impulse[:count])
 
 
-def _draw_channels(weights: np.ndarray, fields: KeyFields, random: np.random.Generator) -> np.ndarray:
-    """Draw the phasors of the channels, with a mean over the channels of magnitude 1 [at, channels]."""
-    cells = fields.cells
-    shape = (len(weights), cells.side.shape[1])
+def _draw_channels(weights: np.ndarray, fields: KeyFields) -> np.ndarray:
+    """Draw the phasors of the channels, with a mean over the channels of magnitude 1 [at, channels].
+
+    A partial has the same draws in all keys, so that neighbouring keys differ by no more than their fields.
+    """
+    cells, random = fields.cells, np.random.default_rng(SEED)
+    one, each = (_complex_normal(random, (MOST_PARTIALS, n))[: len(weights)] for n in (1, cells.side.shape[1]))
     phase = cells.points.predict(weights, cells.phasor)
     free = np.sqrt(np.maximum(1 - np.abs(phase) ** 2, 0.0))
-    phase = np.exp(1j * np.angle(phase + free * _complex_normal(random, shape[:1])))
+    phase = np.exp(1j * np.angle(phase + free * one[:, 0]))
     side = cells.points.predict(weights, cells.side) - 1
     missing = np.maximum(cells.points.predict(weights, cells.side_power) - (np.abs(side) ** 2).mean(axis=1), 0.0)
-    drawn = _complex_normal(random, shape)
-    drawn -= drawn.mean(axis=1, keepdims=True)
+    drawn = each - each.mean(axis=1, keepdims=True)
     drawn *= np.sqrt(missing / np.maximum((np.abs(drawn) ** 2).mean(axis=1), NOTHING))[:, None]
     return phase[:, None] * (1 + side - side.mean(axis=1, keepdims=True) + drawn)
 
