@@ -19,7 +19,7 @@ prior stays diagonal, and every method works on the same θ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +56,9 @@ class Parametrisation:
     reference_compression: Any  # of the searched force, m; None if the stiffness is searched, or given
     geometry: Geometry  # strike position and contact width are parameters
     law: Excitation
-    sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
-    # Exponent g with which the value of every entry scales with every size [sizes, size].
-    exponents: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    given: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # mask of the values that the user gave [size]
+    sizes: tuple[str, ...]  # L, M_S, pickup or scale, if given with a standard deviation
+    exponents: np.ndarray  # g with which the value of every entry scales with every size [sizes, size]
+    given: np.ndarray  # mask of the values that the user gave [size]
     joint: JointPrior | None = None  # of the other keys; it replaces the own prior of some entries
 
     @cached_property
@@ -126,20 +125,17 @@ class Parametrisation:
 
     def model_entries(self, theta: Any) -> Any:
         """`theta` as the model gets it, at the given sizes [..., size]."""
-        if not self.sizes:
-            return theta
         return theta - self.size_changes(theta) @ (self.exponents * self.given)
 
     @property
     def moving(self) -> np.ndarray:
         """Mask of the model's entries that change with θ: the free ones, and given ones that scale [size]."""
-        return self.free | (self.given & self.exponents.any(axis=0) if self.sizes else False)
+        return self.free | (self.given & self.exponents.any(axis=0))
 
     def by_theta(self, jacobian: np.ndarray) -> np.ndarray:
         """Derivatives by θ from those by the model's entries [..., size]; 0 for fixed parameters."""
-        if self.sizes:
-            jacobian = jacobian.copy()
-            jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
+        jacobian = jacobian.copy()
+        jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
         return jacobian * self.free
 
     def _shift(self, theta: Any) -> Any:
@@ -148,9 +144,7 @@ class Parametrisation:
         θ and log values have the same p and sizes.
         """
         xp = theta.__array_namespace__()
-        shift = xp.zeros(theta.shape)
-        if self.sizes:
-            shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
+        shift = -self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
             power = xp.exp(theta[..., p]) * self._log_base(theta)
@@ -186,8 +180,7 @@ class Parametrisation:
                 step = 1e-30j * np.eye(self.size)[self.index_of(name)]
                 out[..., force, self.index_of(name)] = exponent * np.imag(self._log_base(theta + step)) / 1e-30
             out[..., force, p] += exponent * self._log_base(theta)
-        if self.sizes:
-            out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
+        out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 
     def force_direction(self, theta: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 from ..analysis import Analysis
 from ..errors import FitError, ParameterError
 from ..excitation import GEOMETRY_FIELDS
+from ..io.table_output import require_optional
 from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
@@ -161,9 +162,7 @@ def check_intervals(method: str) -> None:
     if method not in METHODS:
         raise ParameterError(f"intervals={method!r} must be one of {', '.join(METHODS)}")
     if method == "posterior":
-        from .nuts import check_sampler
-
-        check_sampler()
+        require_optional("blackjax", "intervals='posterior'", "bayes", ParameterError)
 
 
 def compute_intervals(
