@@ -68,11 +68,6 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     Parameters
     ----------
     first : starts in addition to the samples of the prior [starts, size].
-
-    Raises
-    ------
-    FitError
-        If no hammer gives a finite sound.
     """
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
@@ -111,20 +106,10 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
 
 def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candidates:
-    """Minimise F of the levels from given starts only; the lowest is first.
+    """Minimise F of the levels from given starts [starts, size] only; the lowest is first.
 
     Every hammer also starts at its best velocities on the quadratic surrogates, because they depend on all other values
     of the hammer.
-
-    Parameters
-    ----------
-    starts : θ [starts, size].
-    steps : maximum number of steps.
-
-    Raises
-    ------
-    FitError
-        If no start has a finite sound.
     """
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)

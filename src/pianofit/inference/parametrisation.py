@@ -19,6 +19,7 @@ prior stays diagonal, and every method works on the same θ.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -35,11 +36,18 @@ if TYPE_CHECKING:
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
 LOG_ABSENT_LOSS = -300.0
+# Imaginary step of a derivative that is exact to rounding.
+IMAGINARY = 1e-30
 
 
 def names_of(law: Excitation) -> tuple[str, ...]:
     """Names of the shared parameters, in order: the string, then felt, hammer mass and contact."""
     return STRING_NAMES + law.columns
+
+
+def slope_by_entry(function: Callable, theta: np.ndarray, i: int) -> np.ndarray:
+    """Derivative of `function` by entry `i` of `theta` [..., size]: the imaginary part of one function value."""
+    return np.imag(function(theta + 1j * IMAGINARY * np.eye(theta.shape[-1])[i])) / IMAGINARY
 
 
 @dataclass(frozen=True)
@@ -175,10 +183,8 @@ class Parametrisation:
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
             exponent = np.exp(theta[..., p])
-            for name in self.law.parameters if self.law.base else ():
-                # A derivative by the imaginary part of one function value is exact to rounding.
-                step = 1e-30j * np.eye(self.size)[self.index_of(name)]
-                out[..., force, self.index_of(name)] = exponent * np.imag(self._log_base(theta + step)) / 1e-30
+            for i in map(self.index_of, self.law.parameters) if self.law.base else ():
+                out[..., force, i] = slope_by_entry(lambda at: exponent * self._log_base(at), theta, i)
             out[..., force, p] += exponent * self._log_base(theta)
         out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
