@@ -9,10 +9,10 @@ import numpy as np
 
 from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
-from ..excitation import Excitation
 from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
+from .priors import InitialValues
 
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST_HZ = 10_000.0
@@ -67,34 +67,23 @@ class Observations:
 
 
 def observe(
-    analyses: Sequence[Analysis],
-    layout: RecordingStructure,
-    reference: int,
-    unit: float,
-    path: bool,
-    gains: bool,
-    excitation: Excitation,
-    quantity: str,
+    analyses: Sequence[Analysis], layout: RecordingStructure, reference: int, start: InitialValues
 ) -> Observations:
     """The tables of recordings of one key.
 
     Parameters
     ----------
     reference : index of the reference recording.
-    unit : the pickup's unit over full scale, dB.
-    path, gains : true if the output path is unknown, and if its gain is.
-    excitation, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share
-        nothing about their gain.
+    start : its scale, recorded quantity and excitation. Only a contact has a knock.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
     detected = np.unique(np.concatenate([a.partials.number for a in analyses]))
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
-    number = detected if path else np.arange(1, detected.max() + 1)
+    number = detected if start.unknown_path else np.arange(1, detected.max() + 1)
     number = number[_string_law(ref, number)[0] < HIGHEST_HZ]
-    roughness = TRANSDUCERS[quantity].roughness or excitation.roughness
-    level = _levels(analyses, layout, number, ref, unit, path, excitation.gain_deviations if gains else None, roughness)
-    if path and excitation.has_contact and np.isfinite([a.knock for a in analyses]).any():
+    level = _levels(analyses, layout, number, ref, start)
+    if start.unknown_path and start.law.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = _string_law(ref, detected)
     frequency, decay = _string_tables(analyses, detected, law[0], ref)
@@ -135,15 +124,10 @@ def _one_hot(index: Sequence[int]) -> np.ndarray:
 
 
 def _levels(
-    analyses: Sequence[Analysis],
-    layout: RecordingStructure,
-    number: np.ndarray,
-    ref: Analysis,
-    unit: float,
-    path: bool,
-    gains: Sequence[float] | None,
-    roughness: tuple[float, float],
+    analyses: Sequence[Analysis], layout: RecordingStructure, number: np.ndarray, ref: Analysis, start: InitialValues
 ) -> ObservationTable:
+    path, unit = start.unknown_path, 0.0 if start.scale is None else 20 * np.log10(start.scale)
+    roughness = TRANSDUCERS[start.quantity].roughness or start.law.roughness
     tables = [a.partials for a in analyses]
     frequency, alpha = _string_law(ref, number)
     value = np.stack([select_partials(t.level, t.number, number, np.nan) for t in tables])
@@ -156,7 +140,7 @@ def _levels(
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
     nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
-    columns, scale = _columns(layout, alpha, gains, ref.f0)
+    columns, scale = _columns(layout, alpha, start.law.gain_deviations if start.scale is None else None, ref.f0)
     hyper = priors.LEVEL
     return ObservationTable(
         value=np.nan_to_num(level + unit),
