@@ -35,7 +35,6 @@ import numpy as np
 import scipy.signal
 
 from pianofit.felt import DEFAULT_LAW
-from pianofit.felt.published import HAMMER_SD
 from pianofit.inference import priors
 from pianofit.literature import typical
 from pianofit.parameters import Geometry, Hammer, String
@@ -51,7 +50,7 @@ MOST_RECORDINGS = 5
 # MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of recordings: few keys, few programs.
 KEYS = (21, 38, 54, 70, 84)
 SLOWEST, FASTEST = 0.5, 5.0  # m/s
-HAMMER_SPREAD = HAMMER_SD | {name: p.prior_sd for name, p in DEFAULT_LAW.parameters.items()}
+HAMMER_SPREAD = priors.HAMMER_SD | {name: p.prior_sd for name, p in DEFAULT_LAW.parameters.items()}
 STRING_SCATTER = {"length": 0.1, "B": 0.3, "b1": 0.3, "b2": 0.3}  # of logarithms
 FARTHEST = 2.0  # standard deviations: what lies beyond may be no hammer at all
 NOISE = (40.0, 70.0)  # dB

@@ -23,8 +23,8 @@ from ..analysis import Analysis
 from ..criterion import band_of, damping_for
 from ..errors import FitError
 from ..felt.hunt_crossley import HUNT_CROSSLEY
-from ..felt.published import HAMMER_SD
 from ..inference import NO_HAMMER, InitialValues, simulation_grid
+from ..inference.priors import HAMMER_SD
 from ..model import simulate
 from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival

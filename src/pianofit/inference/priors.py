@@ -25,13 +25,14 @@ from ..errors import SetupError
 from ..excitation import GEOMETRY_FIELDS, Excitation
 from ..excitation.hammer import GAIN_DEVIATION, PATH
 from ..felt import ALL_PARAMETERS, COMMON_PARAMETERS, DEFAULT_LAW
+from ..felt.published import HAMMER_SD as HAMMER_SD
 from ..literature import typical
 from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..setup import Setup
 from ..transducer import TRANSDUCERS
 
-# --- hammer: about the literature's values for the key (literature.typical), with the standard deviations
-# `felt.published.HAMMER_SD`; the felt law has the felt's priors
+# --- hammer: about the literature's values for the key (literature.typical), with the standard deviations `HAMMER_SD`;
+# the felt law has the felt's priors
 # String: about the analysis of one recording, wide enough to have no effect.
 STRING_SD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 # Exponents with which values scale with the string length if the sound stays the same.

@@ -14,7 +14,6 @@ from ..conversions import midi_of
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS
-from ..felt.published import HAMMER_SD
 from ..io.files import printable
 from ..io.number_format import counted
 from ..key_prior import KeyPrior
@@ -301,7 +300,7 @@ def prior_parametrisation(
     values, geometry, law = start.values, start.geometry, start.law
     names = names_of(law)
     sizes = tuple(name for name in SIZES if name in start.relative_sd and name not in names)
-    spread = priors.STRING_SD | HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
+    spread = priors.STRING_SD | priors.HAMMER_SD | {n: p.prior_sd for n, p in law.parameters.items()}
     spread |= law.spreads
     if not TRANSDUCERS[start.quantity].on_string:
         spread.pop("pickup", None)
