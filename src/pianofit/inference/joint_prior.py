@@ -42,21 +42,23 @@ class InvariantMap(NamedTuple):
 
     def __call__(self, theta: Any, law: Excitation, xp: Any = np) -> Any:
         """Values at `theta` [..., size]; `xp` is NumPy or JAX [..., quantities]."""
-        return theta @ self.linear.T + self.constant + self.felt_part(theta, law, xp)
-
-    def felt_part(self, theta: Any, law: Excitation, xp: Any = np) -> Any:
-        """The part that is not linear in θ: log F minus the searched force or stiffness, and log of d log g/d log u."""
+        out = theta @ self.linear.T + self.constant
         if law.power is None:
-            return 0.0
+            return out
+        log_force, log_slope = self._felt(theta, law, xp)
+        return out + log_force[..., None] * self.force + log_slope[..., None] * self.exponent
+
+    def _felt(self, theta: Any, law: Excitation, xp: Any) -> tuple[Any, Any]:
+        """log F minus the searched force or stiffness, and log of d log g/d log u [...]."""
         values = {name: xp.exp(theta[..., i]) for i, name in enumerate(names_of(law)) if name in law.parameters}
-        p = values[law.power[1]]
+        _, p = law.power or ("", "")
         u, at = self.compression, self.searched_compression
         searched = xp.where(at > 0, xp.log(law.power_base(xp.where(at > 0, at, u), values)), 0.0)
         log_base = xp.log(law.power_base(u, values))
         rise = xp.log(law.power_base(u * np.exp(SLOPE_STEP), values))
         rise = rise - xp.log(law.power_base(u * np.exp(-SLOPE_STEP), values))
-        log_force, log_slope = p * (log_base - searched), xp.log(rise / (2 * SLOPE_STEP)) * xp.ones_like(p)
-        return log_force[..., None] * self.force + log_slope[..., None] * self.exponent
+        ones = xp.ones_like(values[p])
+        return values[p] * (log_base - searched), xp.log(rise / (2 * SLOPE_STEP)) * ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +76,13 @@ class JointPrior:
         """g(θ) - m [B, quantities] and J [B, quantities, size]."""
         jacobian = np.broadcast_to(self.invariants.linear, (len(theta), *self.invariants.linear.shape)).copy()
         for i in map(names_of(law).index, law.parameters) if law.power else ():
-            jacobian[..., i] += slope_by_entry(lambda at: self.invariants.felt_part(at, law), theta, i)
+            jacobian[..., i] += slope_by_entry(lambda at: self._felt_part(at, law), theta, i)
         return self.invariants(theta, law) - self.mean, jacobian
+
+    def _felt_part(self, theta: np.ndarray, law: Excitation) -> np.ndarray:
+        """The part of g that is not linear [B, quantities]."""
+        flat = self.invariants._replace(linear=np.zeros_like(self.invariants.linear), constant=0.0)
+        return flat(theta, law)
 
     def evaluate(
         self, theta: np.ndarray, law: Excitation, free: np.ndarray

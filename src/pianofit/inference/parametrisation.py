@@ -133,6 +133,8 @@ class Parametrisation:
 
     def model_entries(self, theta: Any) -> Any:
         """`theta` as the model gets it, at the given sizes [..., size]."""
+        if not self.sizes:  # an empty product would change the rounding of compiled gradients
+            return theta
         return theta - self.size_changes(theta) @ (self.exponents * self.given)
 
     @property
@@ -152,7 +154,9 @@ class Parametrisation:
         θ and log values have the same p and sizes.
         """
         xp = theta.__array_namespace__()
-        shift = -self.size_changes(theta) @ (self.exponents * ~self.given)
+        shift = xp.zeros(theta.shape)
+        if self.sizes:
+            shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
             power = xp.exp(theta[..., p]) * self._log_base(theta)
