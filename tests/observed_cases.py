@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pianofit.analysis import Analysis, Partials
-from pianofit.felt import DEFAULT_LAW
+from pianofit.inference import starting_values
 from pianofit.model import simulate
 from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
@@ -16,7 +16,6 @@ from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.setup import Setup
 
 F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
-PRESSURE = DEFAULT_LAW, "pressure"  # excitation and quantity of the tables of `observe`
 
 
 def frequency(number: np.ndarray, f0: float = F0) -> np.ndarray:
@@ -48,6 +47,8 @@ def analysis(
     )  # fmt: skip
 
 
+# Given values of a fit of a microphone's recordings.
+PRESSURE = starting_values(analysis([1, 2], [0.0, -10.0]), Setup())
 STRING = String(c=330.0, kappa=1.3, b1=0.6, b2=5e-5)
 HAMMER = Hammer(K_H=3e10, mu=0.3, p=2.7, M_H=5e-3, v_H0=2.2)
 GEOMETRY = Geometry(length=0.63, mass=4e-3, strike_position=0.0771, width=0.014, pickup=0.1973)

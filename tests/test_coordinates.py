@@ -32,7 +32,8 @@ def unknowns() -> Parametrisation:
     sd[[VALUES.index(name) for name in ("epsilon", "tau", "skin")]] = 0.0
     lower, upper = mean - 0.7, mean + 0.7
     lower[FORCE], upper[FORCE] = np.log(5e9), np.log(2e10)
-    return Parametrisation(mean, sd, lower, upper, float(np.exp(LOG_U)), GEOMETRY, LAW)
+    no_size = (), np.zeros((0, len(mean))), np.zeros(len(mean), bool)
+    return Parametrisation(mean, sd, lower, upper, float(np.exp(LOG_U)), GEOMETRY, LAW, *no_size)
 
 
 def points(count: int = 40) -> np.ndarray:

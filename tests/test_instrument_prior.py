@@ -74,7 +74,8 @@ def test_the_values_with_a_prior_are_the_coordinates_of_the_fit():
 
     own = [*(n for n in law.columns if n in names)]
     size = len(law.columns) + 4
-    at = Parametrisation(np.zeros(size), np.ones(size), np.zeros(size), np.zeros(size), u, note.geometry, law)
+    zero, no_size = np.zeros(size), ((), np.zeros((0, size)), np.zeros(size, bool))
+    at = Parametrisation(zero, np.ones(size), zero, zero, u, note.geometry, law, *no_size)
 
     def theta(values) -> np.ndarray:
         logs = np.array([np.log(values.get(n, 1.0)) for n in at.names])

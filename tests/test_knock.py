@@ -108,7 +108,7 @@ TWO = RecordingStructure((0, 1), (0, 0), (0, 1))
 
 def test_the_knock_is_a_column_with_a_path_and_an_error_of_its_own():
     quiet = tuple(replace(own, knock=np.nan) for own in (LOUD, SOFT))
-    table, without = (observe(pair, TWO, 0, 0.0, True, True, *PRESSURE) for pair in ((LOUD, SOFT), quiet))
+    table, without = (observe(pair, TWO, 0, PRESSURE) for pair in ((LOUD, SOFT), quiet))
     assert without.number.tolist() == [1, 2, 3]
     assert table.number.tolist() == [1, 2, 3, KNOCK]
     level, other = table.level, without.level
@@ -119,10 +119,10 @@ def test_the_knock_is_a_column_with_a_path_and_an_error_of_its_own():
     assert not level.columns[3:, :, -1].any()  # onsets
     assert level.systematic[-1, -1] == priors.KNOCK_PATH_SD**2
     assert level.excess_profile[-1] == level.smooth_profile[-1] == 0
-    one = observe((LOUD, replace(SOFT, knock=np.nan)), TWO, 0, 0.0, True, True, *PRESSURE).level
+    one = observe((LOUD, replace(SOFT, knock=np.nan)), TWO, 0, PRESSURE).level
     np.testing.assert_array_equal(one.detected[:, -1], [1, 0])
     # A known pickup has no path that the knock could take.
-    assert KNOCK not in observe((LOUD, SOFT), TWO, 0, 0.0, False, False, *PRESSURE).number
+    assert KNOCK not in observe((LOUD, SOFT), TWO, 0, replace(PRESSURE, scale=1.0)).number
 
 
 @pytest.fixture(scope="module")

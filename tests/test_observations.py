@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from observed_cases import B1, D2, F0, PRESSURE, analysis, frequency
@@ -20,9 +22,9 @@ TWO = RecordingStructure((0, 1), (0, 0), (0, 1))
 MICROPHONES = RecordingStructure((0, 0), (0, 1), (0, 1))
 
 
-def observed(layout: RecordingStructure = TWO, *, path: bool = True, gains: bool = True, unit: float = 0.0):
+def observed(layout: RecordingStructure = TWO, scale: float | None = None):
     analyses = [LOUD, SOFT] if len(layout.stroke) > 1 else [LOUD]
-    return observe(analyses, layout, 0, unit, path, gains, *PRESSURE)
+    return observe(analyses, layout, 0, replace(PRESSURE, scale=scale))
 
 
 def bounds(table) -> dict[tuple[int, int], float]:
@@ -31,7 +33,7 @@ def bounds(table) -> dict[tuple[int, int], float]:
 
 
 def test_levels_stand_in_their_columns():
-    o = observed(unit=6.0)
+    o = observed(scale=10 ** (6 / 20))
     assert o.number.tolist() == [1, 2, 3, 4, 5]
     np.testing.assert_array_equal(o.level.detected, [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
     np.testing.assert_allclose(o.level.value[0, [0, 1, 2, 4]], [6.0, -4.0, -14.0, -34.0])
@@ -45,8 +47,8 @@ def test_what_is_absent_stands_at_its_bound():
     assert bounds(observed().level) == {(0, 3): -70.0, (1, 2): -61.0, (1, 4): -62.0}
     nowhere = analysis([1, 3], [0.0, -5.0], absent=[2, 4], bound=[-50.0, -51.0])
     # A partial that no recording shows counts only without an unknown path.
-    assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True, *PRESSURE).level) == {}
-    calibrated = observe([nowhere], ALONE, 0, 0.0, False, False, *PRESSURE)
+    assert bounds(observe([nowhere], ALONE, 0, PRESSURE).level) == {}
+    calibrated = observe([nowhere], ALONE, 0, replace(PRESSURE, scale=1.0))
     assert calibrated.number.tolist() == [1, 2, 3]
     assert bounds(calibrated.level) == {(0, 1): -50.0}
     assert calibrated.level.variance[0, 1] == priors.CENSORED_MARGIN**2
@@ -66,7 +68,7 @@ def test_columns_are_gains_and_onsets():
     shared = observed(RecordingStructure((0, 1), (0, 0), (0, 0))).level
     np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]])
     np.testing.assert_allclose(shared.columns[0], 1.0)
-    calibrated = observed(path=False, gains=False).level
+    calibrated = observed(scale=1.0).level
     np.testing.assert_allclose(calibrated.columns[:, :, :5], onset)
     np.testing.assert_allclose(calibrated.scale, [[late, late]])
 
@@ -97,11 +99,9 @@ def test_the_residual_of_every_path_is_integrated_over():
         regimes = len(layout.stroke)  # one recording, or shared and separate gains
         np.testing.assert_allclose(level.log_tau, x[:, None])
         np.testing.assert_allclose(np.exp(level.log_weight), weight[:, None] / regimes * np.ones(regimes))
-    both = observe(
-        [LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True, *PRESSURE
-    ).level
+    both = observe([LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, PRESSURE).level
     np.testing.assert_allclose(both.log_tau, x[:, None] * np.ones(2))
-    calibrated = observed(path=False, gains=False).level
+    calibrated = observed(scale=1.0).level
     assert not calibrated.has_unknown_path.any()
     assert (calibrated.log_tau <= observation_tables.NONE).all()
 
@@ -121,7 +121,7 @@ def test_recordings_are_laid_on_one_law():
     # Two recordings halve the variance of the noise; each partial counts once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
     sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)
-    assert observe([sharp], ALONE, 0, 0.0, True, True, *PRESSURE).cents == pytest.approx([1.5])
+    assert observe([sharp], ALONE, 0, PRESSURE).cents == pytest.approx([1.5])
 
 
 def beating(seed: int, f0: float = 110.0, rate: int = 44_100) -> Recording:
@@ -170,4 +170,4 @@ def test_the_strings_law_has_the_derivatives_it_says():
 def test_partials_above_the_top_stand_in_no_table():
     high = analysis([1, 20, 40], [0.0, -20.0, -30.0])
     assert frequency(np.array([40]))[0] > observation_tables.HIGHEST_HZ
-    assert observe([high], ALONE, 0, 0.0, True, True, *PRESSURE).number.max() == 20
+    assert observe([high], ALONE, 0, PRESSURE).number.max() == 20

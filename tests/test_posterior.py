@@ -27,7 +27,7 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     size = len(theta)
     prior = Quadratic(np.zeros(1), np.zeros((1, size)), np.zeros((1, size, size)))
     at = TablePoint(t, residual, jacobian, PHI, w, theta, HYPER)
-    found = draw_hyperparameters([at], prior, np.eye(size)).F.curvature
+    found = draw_hyperparameters([at], prior, np.eye(size))[0].curvature
     detected = np.asarray(t.detected).ravel() > 0
     covariance = (shared(t, PHI, (0, 0), theta) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
     rows = jacobian.reshape(-1, size)[detected]

@@ -14,7 +14,8 @@ import pytest
 import pianofit
 from pianofit import ParameterError, analyse, bensa2005, recording_from_samples
 from pianofit.bensa2005 import search as searching
-from pianofit.bensa2005.method import FELT_UNKNOWN, NO_INTERVALS, OPENING, SearchResult, search_parameters
+from pianofit.bensa2005.method import SearchResult, search_parameters
+from pianofit.bensa2005.point_estimate import FELT_UNKNOWN, NO_INTERVALS, OPENING
 from pianofit.cli import main
 from pianofit.criterion import band_values, damping_for, measure
 from pianofit.errors import SetupError

@@ -180,11 +180,6 @@ def test_a_sound_that_began_earlier_has_decayed_further():
     assert costs[1] == pytest.approx((1 - np.exp(-2 * 30.0 * late / RATE)) ** 2, rel=0.01)
 
 
-def test_bands_without_a_partial_are_refused():
-    with pytest.raises(ValueError, match="band3"):
-        spectral_goal(wave(), RATE, F0, B, 8, 30.0, bands=(2,))
-
-
 # --- derivatives ------------------------------------------------------------------------------------------------------
 
 

@@ -23,8 +23,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
-
 # A shorter jump is lost in the rounding of the coordinates, box widths.
 COLDEST = 1e-15
 
@@ -68,11 +66,10 @@ class AnnealingState:
 
 
 class Annealed(NamedTuple):
-    """The lowest point of all chains, and the final state."""
+    """The lowest point of all chains."""
 
     z: np.ndarray  # [D]
     cost: float  # inf if no cost was finite
-    state: AnnealingState
     evaluations: int
 
 
@@ -96,7 +93,7 @@ def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarr
     """
     state = deque(annealing(cost, lower, upper, **options), maxlen=1).pop()
     best = int(np.argmin(state.best_cost))
-    return Annealed(state.best_z[best].copy(), float(state.best_cost[best]), state, state.evaluations)
+    return Annealed(state.best_z[best].copy(), float(state.best_cost[best]), state.evaluations)
 
 
 def annealing(
@@ -115,13 +112,9 @@ def annealing(
     Parameters
     ----------
     lower, upper : finite. A coordinate is fixed where they are equal.
-    evaluations : total number of cost evaluations. The cooling is planned for it.
+    evaluations : total number of cost evaluations, at least one for each chain and each sample of the schedule. The
+        cooling is planned for it.
     start : points where the first chains start, [D] or [n, D]. The other chains start at uniform points.
-
-    Raises
-    ------
-    ParameterError
-        If the box is not finite or empty, or the evaluations are too few.
     """
 
     def finite(z: np.ndarray) -> np.ndarray:
@@ -129,13 +122,7 @@ def annealing(
         return np.where(np.isfinite(value), value, np.inf)
 
     lower, upper, schedule = np.array(lower, float), np.array(upper, float), schedule or Schedule()
-    if not (np.isfinite(upper - lower).all() and (lower <= upper).all()):
-        raise ParameterError(f"lower={lower} and upper={upper} must be a finite box")
-    rounds, free = -(-schedule.samples // max(chains, 1)), np.flatnonzero(upper > lower)
-    if chains < 1 or evaluations < rounds * chains:
-        raise ParameterError(
-            f"chains={chains}, evaluations={evaluations}: use at least 1 and {max(rounds * chains, 1)} of them"
-        )
+    rounds, free = -(-schedule.samples // chains), np.flatnonzero(upper > lower)
     problem = _Problem(finite, lower, upper - lower, upper, free, schedule, np.random.Generator(np.random.PCG64(seed)))
     state = _initial_state(problem, (rounds, chains), evaluations, start)
     yield state

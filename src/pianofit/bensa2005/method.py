@@ -37,17 +37,6 @@ EVALUATIONS = 20_000
 FEWEST = 500
 # and most, which takes some hours.
 MOST = 10_000_000
-OPENING = {
-    "paper": "The paper's three steps (recipe “paper”), for comparison with it.",
-    "global": "The paper's criterion over the whole spectrum (recipe “global”), for comparison with it.",
-}
-NO_INTERVALS = (
-    "No intervals: this criterion gives neither the uncertainty nor the identifiability of the parameters. The default "
-    "recipe reports both."
-)
-FELT_UNKNOWN = (
-    " One uncalibrated recording does not identify the felt: its gain was free, and no output path was fitted."
-)
 
 
 def fit(
@@ -90,8 +79,7 @@ def fit(
             velocity = recording_info_for(setup, sound.path, alone=True).v_H0
         start = starting_values(analysis, setup, velocity)
         found = search_parameters(sound, analysis, start, method, evaluations=evaluations, seed=seed, progress=report)
-        opening = OPENING[method] + (FELT_UNKNOWN if start.scale is None else "")
-        return point_result(sound, analysis, start, found, method, seed, opening, NO_INTERVALS)
+        return point_result(sound, analysis, start, found, method, seed)
 
 
 def _check_method(method: str, evaluations: int | None) -> None:

@@ -26,23 +26,23 @@ from ..schema.fit import Criterion, Fit, package_versions
 from ..schema.quantities import Quantities, Status
 from .search import SearchResult
 
+OPENING = {
+    "paper": "The paper's three steps (recipe “paper”), for comparison with it.",
+    "global": "The paper's criterion over the whole spectrum (recipe “global”), for comparison with it.",
+}
+NO_INTERVALS = (
+    "No intervals: this criterion gives neither the uncertainty nor the identifiability of the parameters. The default "
+    "recipe reports both."
+)
+FELT_UNKNOWN = (
+    " One uncalibrated recording does not identify the felt: its gain was free, and no output path was fitted."
+)
+
 
 def point_result(
-    recording: Recording,
-    analysis: Analysis,
-    start: InitialValues,
-    found: SearchResult,
-    recipe: str,
-    seed: int,
-    opening: str,
-    message: str,
+    recording: Recording, analysis: Analysis, start: InitialValues, found: SearchResult, recipe: str, seed: int
 ) -> Result:
-    """Return the `Result` at the end of a search.
-
-    Parameters
-    ----------
-    opening, message : statements about the search itself.
-    """
+    """Return the `Result` at the end of a search."""
     comparison, values = RecordingComparison(recording, analysis, start.scale), start.values | start.initial
     begins = None if start.scale is None else recording.onset - round(found.delay * recording.rate)
     first = Note(
@@ -65,9 +65,9 @@ def point_result(
         felt=start.law.name,
         seed=seed,
         converged=found.converged,
-        identifiability_statement=opening,
+        identifiability_statement=OPENING[recipe] + (FELT_UNKNOWN if start.scale is None else ""),
         warnings=(
-            *_statements(compared.criterion, found, message),
+            *_statements(compared.criterion, found),
             *recording.warnings,
             *analysis.warnings,
         ),
@@ -85,11 +85,11 @@ def point_result(
     return with_derived(Result(fit, (compared,), ((after.note,),)))
 
 
-def _statements(criterion: Criterion, found: SearchResult, message: str) -> list[str]:
+def _statements(criterion: Criterion, found: SearchResult) -> list[str]:
     """Warnings about the result."""
     worse = worse_bands(criterion)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion.excluded_bands]
-    statements = [message] if found.converged else [NOT_CONVERGED, message]
+    statements = [NO_INTERVALS] if found.converged else [NOT_CONVERGED, NO_INTERVALS]
     if worse:
         statements.append(f"The paper's criterion did not fall below its value at the start: {', '.join(worse)}.")
     if found.at_bound:

@@ -208,13 +208,7 @@ class Search:
         return np.append(x[:STRING], self._count(end))
 
     def anneal_hammer(self, x: np.ndarray, evaluations: int, seed: int) -> np.ndarray:
-        """Minimise eq. 19 in its band over the hammer by annealing, from `x` and from uniform points of the box.
-
-        Raises
-        ------
-        FitError
-            If no hammer has a finite criterion.
-        """
+        """Minimise eq. 19 in its band over the hammer by annealing, from `x` and from uniform points of the box."""
         problem = self.hammer_search(x)
         end = anneal(
             problem.costs,
@@ -253,13 +247,7 @@ class Search:
 
 
 def make_search(recording: Recording, analysis: Analysis, start: InitialValues) -> Search:
-    """Return the search from the user's initial values, which also set the sampling rate and length of the contact.
-
-    Raises
-    ------
-    FitError
-        If the contact with the initial values does not end.
-    """
+    """Return the search from the user's initial values, which also set the sampling rate and length of the contact."""
     values, lower, upper, free = _box(start)
     string, hammer = split(values)
     first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)

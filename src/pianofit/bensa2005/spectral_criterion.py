@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
+from ..criterion import ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
 from ..dsp.damped_sums import z_transform_at_poles
 from ..inference import run_in_batches
 from ..model.contact import impulse_amplitude, kernel_rows, strike
@@ -118,19 +118,12 @@ def spectral_goal(
     f0, B : of the partials k f0 √(1 + B k²), Hz; they set the cells and the limits of the bands, which a fit keeps.
     last : number of the last partial.
     sigma : 1/s.
-    bands : indices into `BANDS` of the bands that the criterion uses.
+    bands : indices into `criterion.BANDS` of the bands that the criterion uses. They contain a partial.
     delay : time from the start of the model's sound to the first sample, s.
     unit : unit of the model's signal, per unit of `samples`.
     calibrated : if False, the gain is free and computed in closed form.
-
-    Raises
-    ------
-    ValueError
-        If the bands hold no partial up to `last`.
     """
     rows = np.flatnonzero(np.isin(band_of(np.arange(1, last + 1)), bands))
-    if not rows.size:
-        raise ValueError(f"bands={[BANDS[b] for b in bands]} contain no partial up to number {last}")
     cells = cell_grid(f0, B, last, sigma, FINE * sigma)
     frequency, spacing = cells.frequency[rows], cells.spacing[rows]
     n = min(len(samples), math.ceil(ENOUGH_DAMPING / sigma * rate))

@@ -109,12 +109,7 @@ def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarra
 
 
 def _summed_products(weight: np.ndarray, shape: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Σ_t weight v̄_i v_j [..., signals, modes, modes].
-
-    Parameters
-    ----------
-    weight, shape : weights [signals, samples], and exponentials v [..., modes, samples].
-    """
+    """Σ_t w v̄_i v_j [..., signals, modes, modes] of weights w [signals, samples] and v [..., modes, samples]."""
     *batch, modes, samples = shape.shape
     flat = (shape.conj()[..., :, None, :] * shape[..., None, :, :]).reshape(*batch, modes * modes, samples)
     parts = weight @ np.concatenate([flat.real, flat.imag], axis=-2).swapaxes(-1, -2)

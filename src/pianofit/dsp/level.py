@@ -42,11 +42,6 @@ def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]
 
 
 def mean_time(decay: np.ndarray) -> np.ndarray:
-    """Mean time, s, of the energy in the level; d level / d log|envelope|(t) is centred there.
-
-    Parameters
-    ----------
-    decay : 1/s, any shape
-    """
+    """Mean time, s, of the energy in the level, for the `decay`, 1/s; d level / d log|envelope|(t) is centred there."""
     x = (2 * np.maximum(decay, -7.0) + LEVEL_RATE) * LEVEL_SECONDS
     return LEVEL_SECONDS * (1 / x - 1 / np.expm1(x))

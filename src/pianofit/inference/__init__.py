@@ -7,14 +7,13 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 
 from __future__ import annotations
 
-from ..progress import Progress
 from . import priors
 from .batched_model import run_in_batches, string_law
 from .derivatives import LatentPosterior
-from .laplace import Estimate, Interval, IntervalResult, Minima, ObservedValues, Posterior
+from .laplace import Estimate, Interval, Minima, ObservedValues, Posterior
 from .multistart import NO_HAMMER
 from .observation_tables import KNOCK, select_partials
-from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation, names_of
+from .parametrisation import LOG_ABSENT_LOSS, STRING_SIZE, Parametrisation
 from .pipeline import InferenceResult, check_intervals, map_estimate, run_inference
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
@@ -30,18 +29,15 @@ __all__ = [
     "InferenceResult",
     "InitialValues",
     "Interval",
-    "IntervalResult",
     "LatentPosterior",
     "Minima",
     "ObservedValues",
     "Parametrisation",
     "Posterior",
-    "Progress",
     "RecordingObjective",
     "build_problem",
     "check_intervals",
     "map_estimate",
-    "names_of",
     "objective_of",
     "prior_parametrisation",
     "priors",

@@ -182,10 +182,9 @@ class LevelModel:
         hammers = np.repeat(theta[:, STRING_SIZE : u.shared], u.strokes, axis=0)
         return np.concatenate([hammers, theta[:, u.velocities].reshape(-1, 1)], axis=1)
 
-    def size_effect(self, theta: np.ndarray) -> np.ndarray | float:
+    def size_effect(self, theta: np.ndarray) -> np.ndarray:
         """Change of the levels with the sizes beyond the model's entries, dB [B, 1, K]."""
-        u = self.problem.parametrisation
-        return (u.size_changes(theta) @ self.by_size)[:, None] if u.sizes else 0.0
+        return (self.problem.parametrisation.size_changes(theta) @ self.by_size)[:, None]
 
     def levels(self, strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of many strokes on the fixed string, dB [strokes, K], and whether contacts ended."""

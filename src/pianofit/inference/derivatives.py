@@ -65,20 +65,10 @@ def evaluate(
     nodes, entries = table.log_weight.size, R * K
     largest = max(len(table.log_tau) * K * K, len(table.log_tau) * n * entries, nodes * len(table.censored) * entries)
     count = max(1, CALL_SIZE // largest)
-    points = residual, jacobian, phi, w, theta
-    calls = [_evaluate(table, *(x[i : i + count] for x in points)) for i in range(0, max(len(residual), 1), count)]
-    return calls[0] if len(calls) == 1 else Evaluation(*map(np.concatenate, zip(*calls, strict=True)))
-
-
-def _evaluate(
-    table: ObservationTable,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    phi: np.ndarray,
-    w: np.ndarray,
-    theta: np.ndarray,
-) -> Evaluation:
-    """`evaluate` in one call."""
+    if len(residual) > count:
+        points = residual, jacobian, phi, w, theta
+        calls = [evaluate(table, *(x[i : i + count] for x in points)) for i in range(0, len(residual), count)]
+        return Evaluation(*map(np.concatenate, zip(*calls, strict=True)))
     point = Points.at(table, residual, phi, w, theta)
     by_variance, censored = _by_variance(point)
     matern, by_length = point.nodes.factors.matern

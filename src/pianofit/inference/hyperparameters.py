@@ -55,15 +55,10 @@ class Quadratic(NamedTuple):
         return self.gradient @ axes, axes.T @ self.curvature @ axes
 
 
-class HyperparameterDraws(NamedTuple):
-    """F at draws of φ [N], and minus the logarithms of their density."""
-
-    F: Quadratic
-    negative_log_proposal: np.ndarray
-
-
-def draw_hyperparameters(points: Sequence[TablePoint], prior: Quadratic, axes: np.ndarray) -> HyperparameterDraws:
-    """Draw φ of all tables about a minimum of F.
+def draw_hyperparameters(
+    points: Sequence[TablePoint], prior: Quadratic, axes: np.ndarray
+) -> tuple[Quadratic, np.ndarray]:
+    """F at draws of φ of all tables about a minimum of F, and minus the logarithms of their density [N].
 
     Parameters
     ----------
@@ -83,7 +78,7 @@ def draw_hyperparameters(points: Sequence[TablePoint], prior: Quadratic, axes: n
     ]
     found = [_evaluate(point, own, weights) for point, own, weights in zip(points, phi, w, strict=True)]
     log_volume = np.log(np.diag(root)).sum() + 0.5 * len(mean) * np.log(2 * np.pi)
-    return HyperparameterDraws(_total(prior, found), log_volume - log_density)
+    return _total(prior, found), log_volume - log_density
 
 
 def _proposal(points: Sequence[TablePoint], prior: Quadratic, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,12 +19,10 @@ import numpy as np
 
 from ..excitation import Excitation
 from ..key_prior import INVARIANTS, KeyPrior
-from .parametrisation import Parametrisation, names_of
+from .parametrisation import Parametrisation, names_of, slope_by_entry
 
 # Half the step of log u in the local exponent, d log g/d log u: its error is below 1e-8.
 SLOPE_STEP = 1e-4
-# Imaginary step of a derivative that is exact to rounding.
-IMAGINARY = 1e-30
 FORCE, EXPONENT = "F/M_S", "local_exponent"
 # Quantities of the string: its initial values, and the prior about them, come from the recordings.
 STRING_QUANTITIES = ("f0", "B", "b1", "d2")
@@ -77,11 +75,8 @@ class JointPrior:
     def residual(self, theta: np.ndarray, law: Excitation) -> tuple[np.ndarray, np.ndarray]:
         """g(θ) - m [B, quantities] and J [B, quantities, size]."""
         jacobian = np.broadcast_to(self.invariants.linear, (len(theta), *self.invariants.linear.shape)).copy()
-        names = names_of(law)
-        for name in law.parameters if law.power else ():
-            step = np.zeros(theta.shape[1], complex)
-            step[names.index(name)] = 1j * IMAGINARY
-            jacobian[..., names.index(name)] += np.imag(self._felt_part(theta + step, law)) / IMAGINARY
+        for i in map(names_of(law).index, law.parameters) if law.power else ():
+            jacobian[..., i] += slope_by_entry(lambda at: self._felt_part(at, law), theta, i)
         return self.invariants(theta, law) - self.mean, jacobian
 
     def _felt_part(self, theta: np.ndarray, law: Excitation) -> np.ndarray:

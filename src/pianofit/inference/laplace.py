@@ -109,9 +109,7 @@ class Posterior:
     ) -> Interval | None:
         """The 95 % interval of a value with the logarithms `change` [size], about the `value` shown.
 
-        Parameters
-        ----------
-        bounds : logarithms that limit the interval.
+        The logarithms `bounds` limit it.
         """
         interval = self.interval(change)
         if interval is None:

@@ -216,14 +216,9 @@ def _paths(table: ObservationTable, matern: Values, total: Values, xp: Space) ->
     return prior, xp.swapaxes(whitening, -1, -2) @ whitening, half_log_det
 
 
-def path_mean(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
-    """x̄ of every path [B, n, G, K] from x [B, n, R, K]."""
-    return table.group.T @ (p.relative_precision[:, None] * x)
-
-
 def before_columns(table: ObservationTable, p: CovarianceFactors, x: Values) -> Values:
     """C₀⁻¹x [B, T, n, R, K] of x [B, n, R, K], or of the same x [1, n, R, K] for all."""
-    mean = path_mean(table, p, x)
+    mean = table.group.T @ (p.relative_precision[:, None] * x)  # x̄ of every path [B, n, G, K]
     weighted = (mean.swapaxes(1, 2)[:, None] @ p.path).swapaxes(2, 3)
     own = by_partial(p.precision, x - table.group @ mean)
     return own[:, None] + p.relative_precision[:, None, None] * (table.group @ weighted)

@@ -68,11 +68,6 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     Parameters
     ----------
     first : starts in addition to the samples of the prior [starts, size].
-
-    Raises
-    ------
-    FitError
-        If no hammer gives a finite sound.
     """
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
@@ -111,20 +106,10 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
 
 def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candidates:
-    """Minimise F of the levels from given starts only; the lowest is first.
+    """Minimise F of the levels from given starts [starts, size] only; the lowest is first.
 
     Every hammer also starts at its best velocities on the quadratic surrogates, because they depend on all other values
     of the hammer.
-
-    Parameters
-    ----------
-    starts : θ [starts, size].
-    steps : maximum number of steps.
-
-    Raises
-    ------
-    FitError
-        If no start has a finite sound.
     """
     table = objective.problem.observed.level
     phi = initial_hyperparameters(table)
@@ -185,14 +170,14 @@ def _kinds_of_restart(
         return u.project(theta)
 
     # A partial has equal levels on both sides of its node, so minima of a position lie in pairs.
-    positions = [at for name, at in _positions(u) if free[at]]
+    positions = [at for at in _positions(u) if free[at]]
     return [(perturbed, None), *((rescanned, node) for node in nodes), *[(shifted, None)] * bool(positions)]
 
 
-def _positions(u: Parametrisation) -> list[tuple[str, int]]:
-    """Names and indices in θ of the positions on the string: of the contact, of every stroke, and of the pickup."""
-    shared = [(name, u.index_of(name)) for name in ("x0", "pickup") if name in u.names]
-    return shared + [(u.law.stroke.name, at) for at in range(u.size)[u.velocities] if u.law.stroke.name == "x0"]
+def _positions(u: Parametrisation) -> list[int]:
+    """Indices in θ of the positions on the string: of the contact, of the pickup, and of every stroke."""
+    shared = [u.index_of(name) for name in ("x0", "pickup") if name in u.names]
+    return shared + [at for at in range(u.size)[u.velocities] if u.law.stroke.name == "x0"]
 
 
 def _restarted(objective: Objective, candidates: Candidates, points: RestartPoints, gains: int | None) -> Candidates:

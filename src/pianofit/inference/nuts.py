@@ -22,8 +22,6 @@ import numpy as np
 from jaxtyping import Array
 
 from ..conversions import HALF_WIDTH_95
-from ..errors import ParameterError
-from ..io.table_output import require_optional
 from ..x64 import float64, x64_scope
 from .batched_model import thread_pool
 from .density import (
@@ -51,23 +49,11 @@ BINS, CUT = 20, float(np.exp(-0.5 * HALF_WIDTH_95**2))
 RANGE_FRACTION = 0.25
 
 
-def check_sampler() -> None:
-    """Reject the method if the sampler is not installed.
-
-    Raises
-    ------
-    ParameterError
-        Naming what to install.
-    """
-    require_optional("blackjax", "intervals='posterior'", "bayes", ParameterError)
-
-
 def sample_posterior(problem: FitProblem, estimate: Estimate, seed: int) -> IntervalResult:
     """Intervals of the free shared parameters and of the reference stroke's velocity, from draws.
 
     The same seed draws the same on the same machine.
     """
-    check_sampler()
     at, u = density_context(problem, estimate), problem.parametrisation
     with x64_scope():
         keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed % 2**32), CHAINS))

@@ -9,10 +9,10 @@ import numpy as np
 
 from ..analysis import Analysis, law_frequency
 from ..conversions import CENTS, DB
-from ..excitation import Excitation
 from ..transducer import TRANSDUCERS
 from . import priors
 from .likelihood import ObservationTable
+from .priors import InitialValues
 
 # Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST_HZ = 10_000.0
@@ -67,38 +67,32 @@ class Observations:
 
 
 def observe(
-    analyses: Sequence[Analysis],
-    layout: RecordingStructure,
-    reference: int,
-    unit: float,
-    path: bool,
-    gains: bool,
-    excitation: Excitation,
-    quantity: str,
+    analyses: Sequence[Analysis], layout: RecordingStructure, reference: int, start: InitialValues
 ) -> Observations:
     """The tables of recordings of one key.
 
     Parameters
     ----------
     reference : index of the reference recording.
-    unit : the pickup's unit over full scale, dB.
-    path, gains : true if the output path is unknown, and if its gain is.
-    excitation, quantity : excitation and recorded quantity. Only a contact has a knock, and strokes of a pluck share
-        nothing about their gain.
+    start : its scale, recorded quantity and excitation. Only a contact has a knock.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
     detected = np.unique(np.concatenate([a.partials.number for a in analyses]))
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
-    number = detected if path else np.arange(1, detected.max() + 1)
-    number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
-    roughness = TRANSDUCERS[quantity].roughness or excitation.roughness
-    level = _levels(analyses, layout, number, ref, unit, path, excitation.gain_deviations if gains else None, roughness)
-    if path and excitation.has_contact and np.isfinite([a.knock for a in analyses]).any():
+    number = detected if start.unknown_path else np.arange(1, detected.max() + 1)
+    number = number[_string_law(ref, number)[0] < HIGHEST_HZ]
+    level = _levels(analyses, layout, number, ref, start)
+    if start.unknown_path and start.law.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
-    law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
-    frequency, decay = _string_tables(analyses, detected, law, ref)
+    law = _string_law(ref, detected)
+    frequency, decay = _string_tables(analyses, detected, law[0], ref)
     return Observations(number, level, frequency, decay, detected, law, cents)
+
+
+def _string_law(analysis: Analysis, number: np.ndarray) -> np.ndarray:
+    """Frequencies, Hz, and decays, 1/s, of partials by the string model of an analysis [2, K]."""
+    return np.stack([law_frequency(analysis.f0, analysis.B, number), analysis.b1 + analysis.d2 * number**2])
 
 
 def select_partials(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
@@ -130,17 +124,12 @@ def _one_hot(index: Sequence[int]) -> np.ndarray:
 
 
 def _levels(
-    analyses: Sequence[Analysis],
-    layout: RecordingStructure,
-    number: np.ndarray,
-    ref: Analysis,
-    unit: float,
-    path: bool,
-    gains: Sequence[float] | None,
-    roughness: tuple[float, float],
+    analyses: Sequence[Analysis], layout: RecordingStructure, number: np.ndarray, ref: Analysis, start: InitialValues
 ) -> ObservationTable:
+    path, unit = start.unknown_path, 0.0 if start.scale is None else 20 * np.log10(start.scale)
+    roughness = TRANSDUCERS[start.quantity].roughness or start.law.roughness
     tables = [a.partials for a in analyses]
-    frequency = law_frequency(ref.f0, ref.B, number)
+    frequency, alpha = _string_law(ref, number)
     value = np.stack([select_partials(t.level, t.number, number, np.nan) for t in tables])
     bound = np.stack([select_partials(t.absent_bound, t.absent, number, np.nan) for t in tables])
     error = np.stack([select_partials(t.level_error, t.number, number, 1.0) for t in tables])
@@ -151,8 +140,7 @@ def _levels(
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
     nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
-    alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
-    columns, scale = _columns(layout, alpha, gains, ref.f0)
+    columns, scale = _columns(layout, alpha, start.law.gain_deviations if start.scale is None else None, ref.f0)
     hyper = priors.LEVEL
     return ObservationTable(
         value=np.nan_to_num(level + unit),
@@ -225,7 +213,7 @@ def _columns(
 
 
 def _string_tables(
-    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
+    analyses: Sequence[Analysis], number: np.ndarray, frequency: np.ndarray, ref: Analysis
 ) -> tuple[ObservationTable, ObservationTable]:
     """Frequencies, cents, and log decays, both over the reference's string model, of all recordings pooled as one.
 
@@ -234,10 +222,10 @@ def _string_tables(
     pitch, loss = [], []
     for a in analyses:
         t = a.partials
-        own, shared = (law_frequency(x.f0, x.B, t.number) for x in (a, ref))
+        own, (shared, decay) = law_frequency(a.f0, a.B, t.number), _string_law(ref, t.number)
         # Relative to the recording's own pitch and to the reference's inharmonicity.
         cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
-        per_hertz, decay = CENTS / t.frequency, ref.b1 + ref.d2 * t.number**2
+        per_hertz = CENTS / t.frequency
         systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
         pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
         systematic = t.decay_systematic / np.outer(decay, decay)
@@ -249,8 +237,8 @@ def _string_tables(
     scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
     common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), profile, common, priors.FREQUENCY),
-        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY),
+        _string_table(frequency, *_pool_recordings(number, pitch), profile, common, priors.FREQUENCY),
+        _string_table(frequency, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY),
     )
 
 
@@ -270,7 +258,9 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 
-def _string_table(law, value, variance, systematic, profile, columns, hyper: priors.Hyperprior) -> ObservationTable:
+def _string_table(
+    frequency, value, variance, systematic, profile, columns, hyper: priors.Hyperprior
+) -> ObservationTable:
     # The first three hyperparameters are used here, excess and smooth deviation; the others stay at their priors.
     mean = np.append(hyper.log_median, [NONE, NONE])
     ones = np.ones((1, len(value)))
@@ -283,7 +273,7 @@ def _string_table(law, value, variance, systematic, profile, columns, hyper: pri
         columns=columns,
         scale=np.ones((1, 1)),
         systematic=systematic,
-        distance_octaves=_distance_octaves(law[0]),
+        distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.ones(1),
         log_tau=np.full((1, 1), NONE),
         log_weight=np.zeros((1, 1)),

@@ -19,7 +19,8 @@ prior stays diagonal, and every method works on the same θ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -35,11 +36,18 @@ if TYPE_CHECKING:
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
 LOG_ABSENT_LOSS = -300.0
+# Imaginary step of a derivative that is exact to rounding.
+IMAGINARY = 1e-30
 
 
 def names_of(law: Excitation) -> tuple[str, ...]:
     """Names of the shared parameters, in order: the string, then felt, hammer mass and contact."""
     return STRING_NAMES + law.columns
+
+
+def slope_by_entry(function: Callable, theta: np.ndarray, i: int) -> np.ndarray:
+    """Derivative of `function` by entry `i` of `theta` [..., size]: the imaginary part of one function value."""
+    return np.imag(function(theta + 1j * IMAGINARY * np.eye(theta.shape[-1])[i])) / IMAGINARY
 
 
 @dataclass(frozen=True)
@@ -56,10 +64,9 @@ class Parametrisation:
     reference_compression: Any  # of the searched force, m; None if the stiffness is searched, or given
     geometry: Geometry  # strike position and contact width are parameters
     law: Excitation
-    sizes: tuple[str, ...] = ()  # L, M_S, pickup or scale, if given with a standard deviation
-    # Exponent g with which the value of every entry scales with every size [sizes, size].
-    exponents: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    given: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # mask of the values that the user gave [size]
+    sizes: tuple[str, ...]  # L, M_S, pickup or scale, if given with a standard deviation
+    exponents: np.ndarray  # g with which the value of every entry scales with every size [sizes, size]
+    given: np.ndarray  # mask of the values that the user gave [size]
     joint: JointPrior | None = None  # of the other keys; it replaces the own prior of some entries
 
     @cached_property
@@ -126,20 +133,19 @@ class Parametrisation:
 
     def model_entries(self, theta: Any) -> Any:
         """`theta` as the model gets it, at the given sizes [..., size]."""
-        if not self.sizes:
+        if not self.sizes:  # an empty product would change the rounding of compiled gradients
             return theta
         return theta - self.size_changes(theta) @ (self.exponents * self.given)
 
     @property
     def moving(self) -> np.ndarray:
         """Mask of the model's entries that change with θ: the free ones, and given ones that scale [size]."""
-        return self.free | (self.given & self.exponents.any(axis=0) if self.sizes else False)
+        return self.free | (self.given & self.exponents.any(axis=0))
 
     def by_theta(self, jacobian: np.ndarray) -> np.ndarray:
         """Derivatives by θ from those by the model's entries [..., size]; 0 for fixed parameters."""
-        if self.sizes:
-            jacobian = jacobian.copy()
-            jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
+        jacobian = jacobian.copy()
+        jacobian[..., self.velocities.stop :] -= jacobian @ (self.exponents * self.given).T
         return jacobian * self.free
 
     def _shift(self, theta: Any) -> Any:
@@ -181,13 +187,10 @@ class Parametrisation:
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
             exponent = np.exp(theta[..., p])
-            for name in self.law.parameters if self.law.base else ():
-                # A derivative by the imaginary part of one function value is exact to rounding.
-                step = 1e-30j * np.eye(self.size)[self.index_of(name)]
-                out[..., force, self.index_of(name)] = exponent * np.imag(self._log_base(theta + step)) / 1e-30
+            for i in map(self.index_of, self.law.parameters) if self.law.base else ():
+                out[..., force, i] = slope_by_entry(lambda at: exponent * self._log_base(at), theta, i)
             out[..., force, p] += exponent * self._log_base(theta)
-        if self.sizes:
-            out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
+        out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 
     def force_direction(self, theta: np.ndarray) -> np.ndarray:

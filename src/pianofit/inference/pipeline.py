@@ -12,6 +12,7 @@ import numpy as np
 from ..analysis import Analysis
 from ..errors import FitError, ParameterError
 from ..excitation import GEOMETRY_FIELDS
+from ..io.table_output import require_optional
 from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
@@ -161,9 +162,7 @@ def check_intervals(method: str) -> None:
     if method not in METHODS:
         raise ParameterError(f"intervals={method!r} must be one of {', '.join(METHODS)}")
     if method == "posterior":
-        from .nuts import check_sampler
-
-        check_sampler()
+        require_optional("blackjax", "intervals='posterior'", "bayes", ParameterError)
 
 
 def compute_intervals(
@@ -258,11 +257,6 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
     """θ [size] of given values by name, and of `first` for all others, inside the bounds.
 
     The string stays that of `first`: the frequencies and decays of the partials determine it better.
-
-    Raises
-    ------
-    ParameterError
-        For a name that is not a parameter of this fit.
     """
     u, indices = problem.parametrisation, problem.parameter_indices
     logs = u.log_values(first)
@@ -283,9 +277,6 @@ def refine_minima(
     ----------
     levels : F of the levels with a fixed string, of which the candidates are minima.
     string : the string's own minimum.
-    steps : maximum number of steps of each minimisation.
-
-    Raises `FitError` if no contact ends.
     """
     free = objective.problem.parametrisation.free
 
@@ -308,12 +299,6 @@ def refine(
     Parameters
     ----------
     theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [5] and [R, K].
-    steps : maximum number of steps of each minimisation.
-
-    Raises
-    ------
-    FitError
-        If no contact ends.
     """
     table, model = objective.problem.observed.level, objective.level_model
 

@@ -175,10 +175,7 @@ def build_problem(
     if unnamed:
         given[stroke] = setup.fixed["v_H0"]
         measured[stroke] = float(setup.fixed["v_H0"])
-    scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
-    observed = observe(
-        analyses, structure, reference, scale, start.unknown_path, start.scale is None, start.law, start.quantity
-    )
+    observed = observe(analyses, structure, reference, start)
     unknowns, inputs, cfg = _model(start, given, observed, max(r.rate for r in recordings))
     if setup.prior is not None:
         scale_free = start.scale is None and all(v is None for v in given)

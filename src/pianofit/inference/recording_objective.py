@@ -102,7 +102,13 @@ class RecordingObjective:
         ParameterError
             For a name that is not among `names`, and a value that is not positive.
         """
-        return np.log(_checked(values, self.names, np.exp(self.start)))
+        check_type("values=", values, Mapping, "values in SI units by name")
+        for name, value in values.items():
+            if name not in self.names:
+                raise ParameterError(f"values=: no free parameter is called {name!r}; use {', '.join(self.names)}")
+            if not (isinstance(value, int | float) and 0 < value < np.inf):
+                raise ParameterError(f"values=: {name}={value!r} must be a positive number")
+        return np.log([values.get(name, own) for name, own in zip(self.names, np.exp(self.start), strict=True)])
 
     def at(self, log_values: np.ndarray) -> RecordingObjective:
         """Return the same objective with the φ and w that minimise F at another point.
@@ -170,14 +176,3 @@ def objective_at(problem: FitProblem, theta: np.ndarray) -> RecordingObjective:
     units = tuple(SIZE_UNITS.get(n) or boxes[n.partition(" ")[0]].unit for n in names)
     logs = u.log_values(theta)
     return RecordingObjective(names, units, logs[free], u.lower[free], u.upper[free], problem, context)
-
-
-def _checked(values: Mapping[str, float], names: tuple[str, ...], default: np.ndarray) -> np.ndarray:
-    """Return positive values in the order of `names`."""
-    check_type("values=", values, Mapping, "values in SI units by name")
-    for name, value in values.items():
-        if name not in names:
-            raise ParameterError(f"values=: no free parameter is called {name!r}; use {', '.join(names)}")
-        if not (isinstance(value, int | float) and 0 < value < np.inf):
-            raise ParameterError(f"values=: {name}={value!r} must be a positive number")
-    return np.array([values.get(name, own) for name, own in zip(names, default, strict=True)], float)
