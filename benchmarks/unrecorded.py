@@ -56,6 +56,13 @@ def k_level(tool: Any, sound: np.ndarray) -> float:
     return float(10 * np.log10(np.mean(tool.k_weighted(sound)[start : start + tool.RATE] ** 2)))
 
 
+def rendered(tool: Any, note: Any, velocity: float) -> np.ndarray:
+    """A stroke at the tool's rate."""
+    sound = note.render(velocity, seconds=SECONDS, rate=RATE)
+    by = np.gcd(tool.RATE, RATE)
+    return signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
+
+
 def main() -> None:
     """Print the table."""
     from pianofit.analysis.note_names import note_to_midi
@@ -79,11 +86,6 @@ def main() -> None:
         keys = [key for key in keys if low <= key.midi <= high]
     whole = build_instrument(keys)
 
-    def rendered(note: Any, velocity: float) -> np.ndarray:
-        sound = note.render(velocity, seconds=SECONDS, rate=RATE)
-        by = np.gcd(tool.RATE, RATE)
-        return signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
-
     print(f"{'':16}" + "".join(f"{column:>15}" for column in COLUMNS) + "  loudness   dB", flush=True)
     for out in left_out(keys, options.every):
         rest = [key for key in keys if key not in out]
@@ -99,10 +101,10 @@ def main() -> None:
                 at = round(rank * (len(near.summary.layers) - 1) / max(len(layers) - 1, 1))
                 neighbour = files[Path(near.summary.layers[at].file).name]
                 sounds = {
-                    "law": rendered(guess._replace(modal_response=None), layer.velocity),
-                    "guess": rendered(guess, layer.velocity),
+                    "law": rendered(tool, guess._replace(modal_response=None), layer.velocity),
+                    "guess": rendered(tool, guess, layer.velocity),
                     "other speed": other_speed(tool, neighbour, key.midi - near.midi),
-                    "own fit": rendered(own.note, layer.velocity),
+                    "own fit": rendered(tool, own.note, layer.velocity),
                 }
                 compared = {name: tool.compare(target, sound) for name, sound in sounds.items()}
                 rows.append(

@@ -120,7 +120,7 @@ def guess_response(note: Note, midi: int, law: StringLaw, fields: KeyFields) -> 
     at, cells = FieldPoints.of_key(np.log2(string.frequency), midi), fields.cells
     weights = fields.level.weights(at)
     curves = cells.points.predict(fields.curve.weights(at), cells.curve)
-    share, ratio = _exponentials(curves)
+    share, ratio = fit_exponentials(curves)
     decay = ratio * rate[:, None]
     energy = np.einsum("ki,kij,kj->k", share, level_energy(decay[:, :, None] + decay[:, None]), share)
     size = string.impulse * np.sqrt(level_energy(2 * rate) / energy)
@@ -168,7 +168,7 @@ def _complex_normal(random: np.random.Generator, shape: tuple[int, ...]) -> np.n
     return (random.normal(size=shape) + 1j * random.normal(size=shape)) / np.sqrt(2)
 
 
-def _exponentials(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fit_exponentials(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit prompt sound and aftersound, two exponentials, to decay curves, dB [partials, times]: least relative errors.
 
     Returns amplitudes [partials, 2], of which the second may be 0, and decay rates over that of the laws [partials, 2].

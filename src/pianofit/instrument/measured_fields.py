@@ -274,7 +274,7 @@ def _measure(key: RecordedKey, response: ModalResponse) -> Cells:
     reference = string.impulse**2 * level_energy(2 * own_decay) / note.gain**2
     drives = key.drive_differences(string.frequency)
     power = np.maximum(energies, NOTHING) / reference[:, None] * 10 ** (drives.T / 10)  # [partials, velocities]
-    shape = np.array([_decay(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
+    shape = np.array([decay_curve(response, mono, *x) for x in zip(parts, key.law.decay(numbers), strict=True)])
     strongest = np.array([np.flatnonzero(part)[np.argmax(np.abs(mono[part]))] for part in parts])
     side = (response.pattern[:, strongest] / mono[strongest]).T
     side *= np.minimum(1.0, LARGEST_SIDE / np.maximum(np.abs(side), NOTHING))
@@ -310,7 +310,7 @@ def partial_energies(response: ModalResponse, part: np.ndarray, velocities: np.n
     return np.einsum("vi,ij,vj->v", amplitude, products, amplitude.conj()).real
 
 
-def _decay(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: float) -> np.ndarray:
+def decay_curve(response: ModalResponse, mono: np.ndarray, part: np.ndarray, decay: float) -> np.ndarray:
     """Power of a partial at the `TIMES`, over its energy [times].
 
     Each power is a mean over the logarithm of time about it. It is free of beats, but modes that are too close to beat
