@@ -94,6 +94,9 @@ def observe(
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST_HZ]
     roughness = TRANSDUCERS[quantity].roughness or excitation.roughness
     level = _levels(analyses, layout, number, ref, unit, path, excitation.gain_deviations if gains else None, roughness)
+    if path:
+        # A shift by the spacing of two partials would change the path by the difference of their residuals.
+        level = level._replace(pitch=np.sqrt(2) * roughness[0] * np.outer(cents / CENTS, number))
     if path and excitation.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
@@ -150,6 +153,10 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
+    # No recording shows the beats of an absent partial. They are similar to those of its nearest neighbour.
+    some = np.flatnonzero(detected.any(axis=0))
+    nearest = some[np.abs(number[:, None] - number[some]).argmin(axis=1)]
+    systematic = _covariance([t.level_systematic for t in tables], [t.number for t in tables], number)
     nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
@@ -162,13 +169,14 @@ def _levels(
         group=_one_hot(layout.group),
         columns=columns,
         scale=scale,
-        systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
+        systematic=systematic[np.ix_(nearest, nearest)],
         distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.full(layout.groups, float(path)),
         log_tau=np.repeat(nodes[:, None], layout.groups, axis=1),
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         excess_profile=np.ones(len(number)),
         smooth_profile=np.ones(len(number)),
+        pitch=np.zeros_like(error),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
         velocity=np.zeros((len(layout.stroke), 0)),
@@ -197,6 +205,7 @@ def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> Observ
         distance_octaves=apart,
         excess_profile=np.append(table.excess_profile, 0.0),
         smooth_profile=np.append(table.smooth_profile, 0.0),
+        pitch=np.append(table.pitch, zero, axis=1),
         ratio=np.append(table.ratio, zero, axis=1),
     )
 
@@ -289,6 +298,7 @@ def _string_table(law, value, variance, systematic, profile, columns, hyper: pri
         log_weight=np.zeros((1, 1)),
         excess_profile=np.ones(len(value)),
         smooth_profile=profile,
+        pitch=0 * ones,
         ratio=0 * ones,
         prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
         velocity=np.zeros((1, 0)),
