@@ -52,6 +52,7 @@ def table(shape: str, seed: int = 0) -> ObservationTable:
         excess_profile=1 + random.random(K),
         smooth_profile=1 + random.random(K),
         ratio=5 * random.random((R, K)),
+        pitch=np.linspace(-0.3, 0.5, R)[:, None] * np.arange(1, K + 1),
         prior=(np.log([0.7, 8, 0.7, 0.002, 1.0]), np.array([0.7, 0.4, 0.4, 0.9, 1.0])),
         velocity=np.eye(R, SHARED + R, SHARED),
         degrees_of_freedom=np.float64(STUDENT),
@@ -102,6 +103,7 @@ def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int], theta: n
                 g = int(np.argmax(t.group[i]))
                 tau2 = np.exp(2 * t.log_tau[node[0], g]) + JITTER
                 total[i, :, j, :] += t.has_unknown_path[g] * matern + t.systematic + tau2 * np.eye(K)
+                total[i, :, j, :] += np.diag(t.pitch[i] * t.pitch[j])
     columns = np.asarray(t.scale[node[1]])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
     return total.reshape(R * K, R * K) + columns.T @ columns
 

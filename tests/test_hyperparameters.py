@@ -28,7 +28,8 @@ def linear_table(count: int, parameters: int, seed: int = 0) -> tuple[TablePoint
         columns=0 * one[None], scale=np.ones((1, 1)), systematic=np.zeros((count, count)),
         distance_octaves=np.abs(np.subtract.outer(np.arange(count), np.arange(count))) + 0.0,
         has_unknown_path=np.zeros(1), log_tau=np.full((1, 1), -50.0), log_weight=np.zeros((1, 1)),
-        excess_profile=np.ones(count), smooth_profile=np.ones(count), ratio=0 * one,
+        excess_profile=np.ones(count), smooth_profile=np.ones(count), pitch=0 * one,
+        ratio=0 * one,
         prior=(np.array([prior_mean, 0.0, 0.0, -50.0, -50.0]), np.array([SPREAD, 1.0, 1.0, 1.0, 1.0])),
         velocity=np.zeros((1, parameters)), degrees_of_freedom=np.float64(STUDENT),
     )  # fmt: skip

@@ -181,7 +181,8 @@ def tiny() -> ObservationTable:
         "systematic": t.systematic[:2, :2], "distance_octaves": t.distance_octaves[:2, :2],
         "has_unknown_path": np.ones(1),
         "log_tau": np.log([[0.5], [1.5]]), "log_weight": np.log([[0.2, 0.1], [0.4, 0.3]]),
-        "excess_profile": np.ones(2), "smooth_profile": np.ones(2), "ratio": np.ones((2, 2)), "velocity": np.eye(2),
+        "excess_profile": np.ones(2), "smooth_profile": np.ones(2), "pitch": np.zeros((2, 2)),
+        "ratio": np.ones((2, 2)), "velocity": np.eye(2),
     }  # fmt: skip
     return t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
 
@@ -220,7 +221,7 @@ def test_weights_integrated_out_leave_students_t():
         "group": np.ones(size), "columns": np.zeros((1, 1, 1)), "scale": np.ones((1, 1)), "systematic": np.zeros(size),
         "distance_octaves": np.zeros(size), "has_unknown_path": np.zeros(1), "log_tau": np.full(size, SMALL),
         "log_weight": np.zeros(size), "excess_profile": np.ones(1), "smooth_profile": np.ones(1),
-        "ratio": np.zeros(size), "velocity": np.ones(size),
+        "pitch": np.zeros(size), "ratio": np.zeros(size), "velocity": np.ones(size),
     }  # fmt: skip
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
     log_w = np.linspace(-12.0, 4.0, 4001)

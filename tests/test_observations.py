@@ -12,6 +12,7 @@ import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
 from pianofit.inference import build_problem, observation_tables, priors
 from pianofit.inference.batched_model import string_law
+from pianofit.inference.likelihood import solve_nodes
 from pianofit.inference.observation_tables import RecordingStructure, observe
 from pianofit.inference.pipeline import fit_string
 
@@ -111,6 +112,47 @@ def test_a_systematic_error_is_the_mean_over_recordings():
     assert systematic[0, 0] == pytest.approx(0.09 / 2)  # only one of the two recordings has it
     assert systematic[2, 2] == pytest.approx(0.09)  # a partial of one recording only
     assert np.linalg.eigvalsh(systematic)[0] > -1e-12
+
+
+def test_an_absent_partial_beats_like_its_neighbour():
+    """A second polarisation lowers all high partials by 2 dB. Bounds on absent ones must not deny it."""
+    shown = analysis([1, 2, 5], [0.0, -10.0, -40.0], absent=[3, 4, 6], bound=[-60.0] * 3, systematic=1.0)
+    later = analysis([1, 2, 7], [0.0, -10.0, -55.0], absent=[3, 4, 5, 6], bound=[-60.0] * 4, systematic=1.0)
+    table = observe([shown, later], RecordingStructure((0, 1), (0, 0), (0, 0)), 0, 0.0, False, False, *PRESSURE).level
+    systematic = table.systematic
+    for absent, nearest in ((3, 2), (4, 5), (6, 5)):  # the first of two that are equally near
+        np.testing.assert_allclose(systematic[absent - 1], systematic[nearest - 1])
+    point = np.zeros_like(table.value), table.prior[0], np.ones_like(table.value), np.zeros(0)
+    residual = np.where(table.detected > 0, -2.0, -2.0 + 1.0)  # levels 2 dB below the model, bounds 1 dB above these
+    solved = solve_nodes(table._replace(velocity=np.zeros((2, 0))), residual[None], *(x[None] for x in point[1:]))
+    assert solved.censored.mean.max() < -1.0
+
+
+def test_strokes_of_different_pitch_meet_the_path_at_different_frequencies():
+    two = observed()
+    # Sharper by 2 cents, partial 5 is 5 (2^(2/1200) - 1) spacings nearer to its neighbour. The paths at the two
+    # partials differ by √2 times the median residual.
+    expected = np.sqrt(2) * priors.PATH[0] * np.log(2) / 600 * np.arange(1, 6)
+    np.testing.assert_allclose(two.level.pitch[:, :5], [0 * expected, expected], rtol=1e-9)
+    assert not observed(path=False, gains=False).level.pitch.any()
+    assert not two.frequency.pitch.any()
+    assert not two.decay.pitch.any()
+
+
+def test_levels_that_only_pitch_changes_do_not_look_like_a_velocity():
+    """Two strokes 4 cents apart through a path with slopes of 4 dB a spacing: F counts them as what they are."""
+    number, slope = np.arange(1, 31), np.random.default_rng(0).normal(0.0, 4.0, 30)
+    sharp = 2 ** (4 / 1200)
+    loud = analysis(number, -number.astype(float), f0=F0, level_error=0.001)
+    soft = analysis(number, -number + slope * number * (sharp - 1), f0=F0 * sharp, level_error=0.001)
+    table = observe([loud, soft], TWO, 0, 0.0, True, True, *PRESSURE).level._replace(velocity=np.eye(2))
+    phi = np.log([0.001, 8.0, 0.7, 1e-6, 1e-3])  # nothing else that differs between two strokes
+
+    def level_of(t) -> np.ndarray:
+        at = phi[None], np.ones((1, *t.value.shape)), np.array([[0.0, 0.5]])
+        return solve_nodes(t, t.value[None], *at).nll_per_node.min()
+
+    assert level_of(table) < level_of(table._replace(pitch=0 * table.pitch)) - 1000
 
 
 def test_recordings_are_laid_on_one_law():

@@ -50,8 +50,9 @@ def _level(
     log_string: Array, cents: Array | float, stroke: Float[Array, " entries"], inputs: ModelInputs, cfg: StaticConfig
 ):
     """Levels, dB [rows], from the arrival of the wave at the pickup, and whether the contact ended."""
-    c, *rest = jnp.exp(log_string)
-    string = String(c * jnp.exp2(cents / 1200), *rest)
+    c, kappa, *losses = jnp.exp(log_string)
+    sharper = jnp.exp2(cents / 1200)  # all partials alike, as the analysis measures glides
+    string = String(c * sharper, kappa * sharper, *losses)
     logs = dict(zip((*cfg.law.columns, cfg.law.stroke.name), stroke, strict=True))
     values = {name: jnp.exp(log) for name, log in logs.items()}
     if cfg.law.power:  # the entry is the force at the reference compression, unless that is 0

@@ -233,10 +233,10 @@ class LatentPosterior(NamedTuple):
     """Posterior means of the integrated quantities and of the residual e."""
 
     path: np.ndarray  # a [G, K]
-    columns: np.ndarray  # Σ c_q B_q [R, K]
+    columns: np.ndarray  # Σ c_q B_q and p m [R, K]
     discrepancy: np.ndarray  # d [R, K]
     residual: np.ndarray  # e [R, K]
-    variance: np.ndarray  # of a + Σ c B + d at each entry [R, K]
+    variance: np.ndarray  # of a + Σ c B + p m + d at each entry [R, K]
 
 
 def latent_posterior(
@@ -246,6 +246,7 @@ def latent_posterior(
     s = solve_nodes(table, *(x[None] for x in (residual, phi, w, theta)))
     weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[..., None, :] @ p.root)[..., 0, :], table.columns, 1)
+    columns = columns + table.pitch * (same_path(table) @ (table.pitch * s.precision_residual))
     common = ((table.group.T @ s.precision_residual)[..., None, :] @ p.prior[:, :, None])[..., 0, :]
     discrepancy = p.walk[:, None, None] @ s.precision_residual
     own = residual - table.group @ common - columns - discrepancy

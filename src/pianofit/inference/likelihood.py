@@ -1,13 +1,15 @@
 """The one objective: minus the log marginal posterior of tables of partials.
 
-    y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + d[r,k] + e[r,k]
+    y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + p[r,k] m_g(r),k + d[r,k] + e[r,k]
     c ~ N(0, S²)      a_g ~ N(0, A² √uuᵀ M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
-    d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings of a path
+    m_gk ~ N(0, 1)      d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings
+    of a path
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
 string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one
-recording has alone: gain, onset, pitch. The d describe how a partial deviates from the model in strokes of similar
-velocity; ρ is the size of the walk over an e-fold of velocity. All three are integrated out in closed form. Student's t
+recording has alone: gain, onset, pitch. A stroke of another pitch meets the path at other frequencies: p m is the slope
+of the path at partial k, times the shift. The d describe how a partial deviates from the model in strokes of similar
+velocity; ρ is the size of the walk over an e-fold of velocity. All four are integrated out in closed form. Student's t
 is a scale mixture, whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same
 function:
 
@@ -17,9 +19,10 @@ Undetected partials are censored: the predictive distribution of each, given all
 of its band. One velocity alone does not determine τ. τ, and whether recordings share a gain, are summed over the nodes
 of their priors, for any number of recordings.
 
-C is never formed. Without path and columns, C has one block E_k = ρ² W + diag(var/w) for each partial. With P = E_k⁻¹,
-the recordings determine only the weighted mean of an output path, x̄ = 1ᵀP x / D, D = 1ᵀP 1 over the recordings of the
-path. Deviations from the mean do not depend on the path. Before the columns,
+C is never formed. Without path and columns, C has one block E_k = ρ² W + V + diag(var/w) for each partial, with
+V_rs = p_rk p_sk for two recordings of a path. With P = E_k⁻¹, the recordings determine only the weighted mean of an
+output path, x̄ = 1ᵀP x / D, D = 1ᵀP 1 over the recordings of the path. Deviations from the mean do not depend on the
+path. Before the columns,
 
     C₀⁻¹x = P (x - x̄) + P1/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
 
@@ -76,6 +79,7 @@ class ObservationTable(NamedTuple):
     log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
     excess_profile: Values  # u, of σ² [K]
     smooth_profile: Values  # of A [K]
+    pitch: Values  # p, of strokes that are not at the pitch of the reference [R, K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
     velocity: Values  # derivative of each recording's log velocity by θ, 1 or 0 [R, size]
@@ -166,6 +170,11 @@ def walk_covariance(table: ObservationTable, theta: Values, xp: Space = np) -> V
     return -0.5 * centred @ distance @ centred.T
 
 
+def pitch_covariance(table: ObservationTable) -> Values:
+    """V: covariance between the recordings of each partial by their pitches [K, R, R]; 0 between two paths."""
+    return table.pitch.T[:, :, None] * table.pitch.T[:, None] * same_path(table)
+
+
 def by_partial(blocks: Values, x: Values) -> Values:
     """Product of one matrix for each partial [B, K, R, R] and x [B, n, R, K]."""
     return (blocks @ x.transpose(0, 3, 2, 1)).transpose(0, 3, 2, 1)
@@ -182,7 +191,8 @@ def factor_covariance(table: ObservationTable, phi: Values, w: Values, theta: Va
     walk = xp.exp(2 * phi[:, 4, None, None]) * walk_covariance(table, theta, xp)
     root = xp.swapaxes(table.detected / xp.sqrt(entry_variance), 1, 2)[..., None]
     beside = xp.swapaxes(root, 2, 3)
-    inverse, half_log_det = _inverse(xp.eye(walk.shape[-1]) + root * walk[:, None] * beside, xp)
+    block = walk[:, None] + pitch_covariance(table)
+    inverse, half_log_det = _inverse(xp.eye(walk.shape[-1]) + root * block * beside, xp)
     half_log_det = half_log_det + 0.5 * (table.detected * xp.log(entry_variance)).sum(axis=(1, 2))
     precision = root * inverse * beside
     precision_sum = xp.swapaxes(precision.sum(axis=3), 1, 2)
@@ -238,12 +248,13 @@ def predicted(table: ObservationTable, p: CovarianceFactors, residual: Values, q
     r, k = at[:, 0], at[:, 1]
     group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[2])
     rows = group[:, :, None] * p.prior[:, :, :, k]
-    walk = p.walk[:, r][..., None] * same_partial[:, None, :]
+    by_pitch = pitch_covariance(table)[k, r]
+    walk = (p.walk[:, r] + by_pitch)[..., None] * same_partial[:, None, :]
     # Covariance of path and walk of the entries with those of all entries [B, T, N, R, K].
     shared = (table.group @ rows.swapaxes(2, 3)) + walk[:, None]
     gain = table.group @ (rows @ p.path).swapaxes(2, 3)
     gain = p.relative_precision[:, None, None] * gain + before_columns(table, p, walk)
-    prior = (group * p.prior[:, :, :, k, k]).sum(axis=2) + p.walk[:, r, r][:, None]
+    prior = (group * p.prior[:, :, :, k, k]).sum(axis=2) + (p.walk[:, r, r] + by_pitch[np.arange(len(r)), r])[:, None]
     remaining = prior - (shared * gain).sum(axis=(3, 4))
     flat = flattened(gain)
     columns = flat @ flattened(table.columns).T

@@ -82,7 +82,7 @@ def observe(
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if start.unknown_path else np.arange(1, detected.max() + 1)
     number = number[_string_law(ref, number)[0] < HIGHEST_HZ]
-    level = _levels(analyses, layout, number, ref, start)
+    level = _levels(analyses, layout, number, cents, start, ref)
     if start.unknown_path and start.law.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = _string_law(ref, detected)
@@ -124,7 +124,12 @@ def _one_hot(index: Sequence[int]) -> np.ndarray:
 
 
 def _levels(
-    analyses: Sequence[Analysis], layout: RecordingStructure, number: np.ndarray, ref: Analysis, start: InitialValues
+    analyses: Sequence[Analysis],
+    layout: RecordingStructure,
+    number: np.ndarray,
+    cents: np.ndarray,
+    start: InitialValues,
+    ref: Analysis,
 ) -> ObservationTable:
     path, unit = start.unknown_path, 0.0 if start.scale is None else 20 * np.log10(start.scale)
     roughness = TRANSDUCERS[start.quantity].roughness or start.law.roughness
@@ -139,6 +144,12 @@ def _levels(
         censored &= detected.any(axis=0)
     level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
+    # No recording shows the beats of an absent partial. They are similar to those of its nearest neighbour.
+    some = np.flatnonzero(detected.any(axis=0))
+    nearest = some[np.abs(number[:, None] - number[some]).argmin(axis=1)]
+    systematic = _covariance([t.level_systematic for t in tables], [t.number for t in tables], number)
+    # A shift by the spacing of two partials would change the path by the difference of their residuals.
+    slope = np.sqrt(2) * roughness[0] * path
     nodes, weight = priors.path_nodes(roughness) if path else (np.array([NONE]), np.ones(1))
     columns, scale = _columns(layout, alpha, start.law.gain_deviations if start.scale is None else None, ref.f0)
     hyper = priors.LEVEL
@@ -150,13 +161,14 @@ def _levels(
         group=_one_hot(layout.group),
         columns=columns,
         scale=scale,
-        systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
+        systematic=systematic[np.ix_(nearest, nearest)],
         distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.full(layout.groups, float(path)),
         log_tau=np.repeat(nodes[:, None], layout.groups, axis=1),
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         excess_profile=np.ones(len(number)),
         smooth_profile=np.ones(len(number)),
+        pitch=slope * np.outer(cents / CENTS, number),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
         velocity=np.zeros((len(layout.stroke), 0)),
@@ -185,6 +197,7 @@ def _with_knock(table: ObservationTable, analyses: Sequence[Analysis]) -> Observ
         distance_octaves=apart,
         excess_profile=np.append(table.excess_profile, 0.0),
         smooth_profile=np.append(table.smooth_profile, 0.0),
+        pitch=np.append(table.pitch, zero, axis=1),
         ratio=np.append(table.ratio, zero, axis=1),
     )
 
@@ -279,6 +292,7 @@ def _string_table(
         log_weight=np.zeros((1, 1)),
         excess_profile=np.ones(len(value)),
         smooth_profile=profile,
+        pitch=0 * ones,
         ratio=0 * ones,
         prior=(mean, np.append(hyper.spread, [1.0, 1.0])),
         velocity=np.zeros((1, 0)),
