@@ -28,13 +28,12 @@ from pianofit.instrument.guessed_keys import fit_exponentials
 from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.measured_fields import decay_curve, expected_force, level_energy, partial_energies, spectrum
 from pianofit.model.modal_response import ModalResponse
-from pianofit.model.note import Note
 from pianofit.program_folder import enable_program_cache
 
 COLUMNS = ("guess", "levels", "decays", "modes", "own fit")
 
 
-def levels(note: Note, velocity: float, numbers: np.ndarray) -> np.ndarray:
+def levels(note: Any, velocity: float, numbers: np.ndarray) -> np.ndarray:
     """Level of the energy of partials after a stroke, dB [numbers]."""
     response, force, out = note.modal_response, spectrum(note, velocity), []
     for number in numbers:
@@ -54,7 +53,7 @@ def with_knock_of(response: ModalResponse, other: ModalResponse, ratio: float = 
     return response._replace(knock=static + ratio * np.resize(knock - own, static.shape))
 
 
-def with_levels(guess: Note, own: Note, velocity: float, numbers: np.ndarray) -> ModalResponse:
+def with_levels(guess: Any, own: Any, velocity: float, numbers: np.ndarray) -> ModalResponse:
     """The guessed response with the levels of the own partials."""
     response, size = guess.modal_response, np.ones(len(guess.modal_response.pole))
     change = levels(own, velocity, numbers) - levels(guess, velocity, numbers)
@@ -68,7 +67,7 @@ def with_decays(response: ModalResponse, own: ModalResponse, numbers: np.ndarray
     kept, poles, patterns = [], [], []
     for number in numbers:
         part = own.partial == number
-        rate = float(np.median(-own.pole[part].real))
+        rate = -float(np.median(np.real(own.pole[part])))
         power = decay_curve(own, own.pattern.mean(axis=0), part, rate)
         curve = 10 * np.log10(np.maximum(power, 1e-12 * power.max()))
         share, ratio = (row[0] for row in fit_exponentials((curve - curve[0])[None]))
@@ -78,7 +77,7 @@ def with_decays(response: ModalResponse, own: ModalResponse, numbers: np.ndarray
         wanted = partial_energies(response._replace(velocity_gain=None), response.partial == number, np.ones(1))[0]
         phasor = response.pattern[:, first] / abs(response.pattern[:, first].mean())
         kept += [first] * len(decay)
-        poles += (-decay + 1j * response.pole[first].imag).tolist()
+        poles += (-decay + 1j * np.imag(response.pole[first])).tolist()
         patterns += [phasor * s * np.sqrt(wanted / energy) for s in share]
     gain = response.velocity_gain
     changed = response._replace(
@@ -91,7 +90,7 @@ def with_decays(response: ModalResponse, own: ModalResponse, numbers: np.ndarray
     return with_knock_of(changed, response)
 
 
-def notes(guess: Note, own: Note, velocity: float) -> dict[str, Note]:
+def notes(guess: Any, own: Any, velocity: float) -> dict[str, Any]:
     """The guess, in which one part after another is replaced by that of the own fit."""
     ours = own.modal_response.at(guess.modal_response.rate)
     own = own._replace(modal_response=ours)

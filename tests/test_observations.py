@@ -118,7 +118,7 @@ def test_an_absent_partial_beats_like_its_neighbour():
     """A second polarisation lowers all high partials by 2 dB. Bounds on absent ones must not deny it."""
     shown = analysis([1, 2, 5], [0.0, -10.0, -40.0], absent=[3, 4, 6], bound=[-60.0] * 3, systematic=1.0)
     later = analysis([1, 2, 7], [0.0, -10.0, -55.0], absent=[3, 4, 5, 6], bound=[-60.0] * 4, systematic=1.0)
-    table = observe([shown, later], RecordingStructure((0, 1), (0, 0), (0, 0)), 0, 0.0, False, False, *PRESSURE).level
+    table = observe([shown, later], RecordingStructure((0, 1), (0, 0), (0, 0)), 0, replace(PRESSURE, scale=1.0)).level
     systematic = table.systematic
     for absent, nearest in ((3, 2), (4, 5), (6, 5)):  # the first of two that are equally near
         np.testing.assert_allclose(systematic[absent - 1], systematic[nearest - 1])
@@ -134,7 +134,7 @@ def test_strokes_of_different_pitch_meet_the_path_at_different_frequencies():
     # partials differ by √2 times the median residual.
     expected = np.sqrt(2) * priors.PATH[0] * np.log(2) / 600 * np.arange(1, 6)
     np.testing.assert_allclose(two.level.pitch[:, :5], [0 * expected, expected], rtol=1e-9)
-    assert not observed(path=False, gains=False).level.pitch.any()
+    assert not observed(scale=1.0).level.pitch.any()
     assert not two.frequency.pitch.any()
     assert not two.decay.pitch.any()
 
@@ -145,7 +145,7 @@ def test_levels_that_only_pitch_changes_do_not_look_like_a_velocity():
     sharp = 2 ** (4 / 1200)
     loud = analysis(number, -number.astype(float), f0=F0, level_error=0.001)
     soft = analysis(number, -number + slope * number * (sharp - 1), f0=F0 * sharp, level_error=0.001)
-    table = observe([loud, soft], TWO, 0, 0.0, True, True, *PRESSURE).level._replace(velocity=np.eye(2))
+    table = observe([loud, soft], TWO, 0, PRESSURE).level._replace(velocity=np.eye(2))
     phi = np.log([0.001, 8.0, 0.7, 1e-6, 1e-3])  # nothing else that differs between two strokes
 
     def level_of(t) -> np.ndarray:
