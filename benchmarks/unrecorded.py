@@ -1,12 +1,13 @@
 """How far keys that were never recorded are from their recordings.
 
-    python benchmarks/unrecorded.py FITS RECORDINGS [--prefix headroom] [--keys C2-D#4] [--every 2] [--json FILE]
+    python benchmarks/unrecorded.py FITS RECORDINGS [--prefix headroom] [--keys C2-D#4] [--every 2 | --outermost]
+        [--json FILE]
 
 FITS holds `KEY/fit.json` of one instrument, as `pianofit fit` or `pianofit batch` left them. RECORDINGS has the files
-that they name, also in subfolders. Every inner key is left out in turn, or every second, third... key at once. The
-instrument is built from the other keys, and the key is struck at the velocities of its recordings, on the scale that
-the instrument of all keys gives it. The distance from every recording is that of `../shared/tools/realism.py`, dB, mean
-over the layers of the key, with the attack in brackets. The columns are
+that they name, also in subfolders. Every inner key is left out in turn, or every second, third... key at once, or the
+lowest and then the highest key. The instrument is built from the other keys, and the key is struck at the velocities of
+its recordings, on the scale that the instrument of all keys gives it. The distance from every recording is that of
+`../shared/tools/realism.py`, dB, mean over the layers of the key, with the attack in brackets. The columns are
 
     law          the string model of the key by the keyboard laws, without a modal response
     guess        the guess of the instrument
@@ -34,9 +35,11 @@ BEFORE = 0.02  # s of silence before the contact
 COLUMNS = ("law", "guess", "other speed", "own fit")
 
 
-def left_out(keys: Sequence[Any], every: int) -> Iterator[list[Any]]:
+def left_out(keys: Sequence[Any], every: int = 0, *, outermost: bool = False) -> Iterator[list[Any]]:
     """Keys that are left out together."""
-    if every:
+    if outermost:
+        yield from ([keys[0]], [keys[-1]])
+    elif every:
         for start in range(1, every):
             yield list(keys[start:-1:every])
     else:
@@ -74,7 +77,9 @@ def main() -> None:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--prefix")
     parser.add_argument("--keys", help="only keys from LOW-HIGH are left out or used, such as C2-D#4")
-    parser.add_argument("--every", type=int, default=0, help="keep every second, third... key; default: all but one")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--every", type=int, default=0, help="keep every second, third... key; default: all but one")
+    which.add_argument("--outermost", action="store_true", help="leave out the lowest and the highest key")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     enable_program_cache()
@@ -87,7 +92,7 @@ def main() -> None:
     whole = build_instrument(keys)
 
     print(f"{'':16}" + "".join(f"{column:>15}" for column in COLUMNS) + "  loudness   dB", flush=True)
-    for out in left_out(keys, options.every):
+    for out in left_out(keys, options.every, outermost=options.outermost):
         rest = [key for key in keys if key not in out]
         piano = build_instrument(rest)
         for key in out:

@@ -119,7 +119,7 @@ def main() -> None:
     keys = load_keys(find_fits([options.fits], options.prefix))
     whole, rows = build_instrument(keys), []
     print(f"{'':16}" + "".join(f"{column:>10}" for column in COLUMNS) + "   dB", flush=True)
-    for (key,) in left_out(keys, 0):
+    for (key,) in left_out(keys):
         guess = build_instrument([other for other in keys if other is not key]).keys[key.midi].note
         own, found = whole.keys[key.midi], []
         for layer in own.fit.layers if own.fit else ():

@@ -178,8 +178,10 @@ def test_a_knock_that_cancels_modes_is_not_guessed_as_noise():
         fading = np.exp(-np.arange(static.shape[1]) / (0.1 * RATE))
         noise = random.normal(size=static.shape) * ringing.std() * fading
         noisy.append((with_knock(key, noise), noise, ringing))
-    silent, noise = guessed_noise(cancelling, 50), guessed_noise([key for key, *_ in noisy], 50)
-    assert np.sum(silent**2) < 0.01 * np.sum(noisy[0][2] ** 2)
+    noise = guessed_noise([key for key, *_ in noisy], 50)
+    # The partials of the higher key are above many of those that the recorded knocks cancel.
+    for midi in (50, 74):
+        assert np.sum(guessed_noise(cancelling, midi) ** 2) < 0.01 * np.sum(noisy[0][2] ** 2)
     own = np.mean([np.sum(wave[:, lead:] ** 2) for _, wave, _ in noisy])
     assert 10 * np.log10(np.sum(noise**2) / own) == pytest.approx(0.0, abs=1.5)
 

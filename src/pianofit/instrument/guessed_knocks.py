@@ -7,8 +7,10 @@ contact on. The waveform of a recorded knock would not do: it holds traces of th
 sound on every other key.
 
 The modes begin at once, where soundboard and room build up slowly. So a part of a recorded knock cancels the modes.
-Noise does not cancel them but adds its energy. The noise of a cell therefore has the energy that a key has beyond its
-modes there. It follows from the energies of knock and modes and from their correlation, which is mostly negative.
+That part belongs to the modes of its own key: another key has them at other frequencies, or not at all. In every cell
+of frequency and time the regression on the modes divides a knock into this part and an independent one. A guessed key
+has the interpolated power of the independent part. Where it has modes of its own, it loses the interpolated share of
+their power, because noise cannot cancel them.
 """
 
 from __future__ import annotations
@@ -41,31 +43,34 @@ BEGINNING_S = 0.001
 SEED = 0
 # Range of the energies, dB below the loudest cell of the knock. Fainter cells are rounding.
 RANGE = 80.0
+# Least share of the energy of a cell that counts as independent of the modes. The correlation is estimated from a few
+# bins, and could leave nothing.
+LEAST_INDEPENDENT = 0.01
 
 
 class KnockFields(NamedTuple):
-    """Knocks of the recorded keys. `energy` and `with_modes` have one array for each of the `WINDOWS`."""
+    """Knocks of the recorded keys. `independent` and `cancelled` have one array for each of the `WINDOWS`."""
 
     keys: np.ndarray  # MIDI numbers [keys]
     correlation: float  # of the waveforms of two channels
     samples: int  # of a knock, from `PRE_ONSET_S` before the contact
-    energy: tuple[np.ndarray, ...]  # dB [keys, channels, bands, frames]
-    with_modes: tuple[np.ndarray, ...]  # correlation of knock and modes, -1 to 1 [keys, channels, bands, frames]
-    shape: FieldShape  # of the energy over frequency and key
+    independent: tuple[np.ndarray, ...]  # energy that is independent of the modes, dB [keys, channels, bands, frames]
+    cancelled: tuple[np.ndarray, ...]  # share of the modes' power that the knock cancels [keys, channels, bands, frames]
+    shape: FieldShape  # of the independent energy over frequency and key
     rate: int  # Hz
 
     def noise_power(self, midi: int, modes: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Predict the power of the noise of a key from that of its modes, [channels, bands, frames] for each window."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
-        field, at = Field(points, self.shape), FieldPoints.of_key(np.zeros(1), midi)
-        weights = field.weights(at)
-        # The expected power, as of the partials (`guessed_keys`).
-        surplus = field.variance(weights, at) / DB
+        weights = Field(points, self.shape).weights(FieldPoints.of_key(np.zeros(1), midi))
+        # Cells scatter about the field in every key, which raises their mean power. The uncertainty of the field itself
+        # is common to many cells, so it does not.
+        surplus = self.shape.white(1.0) / DB
         out = []
-        for energy, with_modes, ringing in zip(self.energy, self.with_modes, modes, strict=True):
-            knock = 10 ** ((points.predict(weights, energy)[0] + surplus) / 10)
-            correlation = points.predict(weights, with_modes)[0]
-            out.append(np.clip(knock + 2 * correlation * np.sqrt(knock * ringing), 0.0, knock))
+        for energy, cancelled, ringing in zip(self.independent, self.cancelled, modes, strict=True):
+            power = 10 ** ((points.predict(weights, energy)[0] + surplus) / 10)
+            share = np.clip(points.predict(weights, cancelled)[0], 0.0, 1.0)
+            out.append(np.maximum(power - share * ringing, 0.0))
         return out
 
 
@@ -89,19 +94,19 @@ def measure_knocks(
     if not with_knock:
         return None
     keys, gains, responses = keys[with_knock], gains[with_knock], [responses[i] for i in with_knock]
-    waves, correlations = [], []
+    waves, independent, cancelled = [], [], []
     for response, gain in zip(responses, gains, strict=True):
         own = response.at(rate)
         static = static_part(own)
         count = static.shape[1]
         knock = np.pad(own.knock, ((0, 0), (0, max(count - own.knock.shape[1], 0))))[:, :count]
         waves.append(gain * np.resize(knock - static, (channels, count)))
-        with_modes = _correlation_with_modes(own, static, knock)
-        correlations.append([np.resize(of, (channels, *of.shape[1:])) for of in with_modes])
-    waves = np.array(waves)
-    energy = _by_window(_energy(wave, rate) for wave in waves)
+        energy, share = _parts(own, static, knock - static)
+        independent.append([np.resize(20 * np.log10(gain) + of, (channels, *of.shape[1:])) for of in energy])
+        cancelled.append([np.resize(of, (channels, *of.shape[1:])) for of in share])
+    waves, energy = np.array(waves), _by_window(independent)
     common, shape = _correlation(waves), _shape(keys, energy)
-    return KnockFields(keys, common, waves.shape[-1], energy, _by_window(correlations), shape, rate)
+    return KnockFields(keys, common, waves.shape[-1], energy, _by_window(cancelled), shape, rate)
 
 
 def _by_window(keys: Iterable[Sequence[np.ndarray]]) -> tuple[np.ndarray, ...]:
@@ -109,26 +114,30 @@ def _by_window(keys: Iterable[Sequence[np.ndarray]]) -> tuple[np.ndarray, ...]:
     return tuple(np.array(of_keys) for of_keys in zip(*keys, strict=True))
 
 
-def _energy(wave: np.ndarray, rate: int) -> list[np.ndarray]:
-    """Energy of a knock in bands and frames, dB, [channels, bands, frames] for each window."""
-    powers = _power_between(wave, rate)
-    least = max(power.max() for power in powers) * 10 ** (-RANGE / 10)
-    return [10 * np.log10(np.maximum(power, least)) for power in powers]
+def _parts(
+    response: ModalResponse, static: np.ndarray, knock: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Independent energy of a knock, dB, and the share of the modes' power that it cancels.
 
-
-def _correlation_with_modes(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> list[np.ndarray]:
-    """Correlation of knock and modes, from the power of both together and of each, [channels, bands, frames] a window.
+    Both are [channels, bands, frames] for each window. With the regression a of the knock on the modes, the share is
+    1 - (1 + a)², -1 ≤ a ≤ 0. It follows from the power of both together and of each.
 
     Parameters
     ----------
-    static, knock : knock that cancels the static deflection of the modes, and whole knock [channels, samples].
+    static, knock : knock that cancels the static deflection of the modes, and the rest of it [channels, samples].
     """
     modes = _ringing(response, static)
-    powers = (_power_between(wave, response.rate) for wave in (modes + knock - static, modes, knock - static))
-    return [
-        np.clip((both - alone - own) / np.maximum(2 * np.sqrt(alone * own), NOTHING), -1.0, 1.0)
-        for both, alone, own in zip(*powers, strict=True)
-    ]
+    together, ringing, alone = (_power_between(wave, response.rate) for wave in (modes + knock, modes, knock))
+    least = max(power.max() for power in alone) * 10 ** (-RANGE / 10)
+    energy, share = [], []
+    for both, of_modes, of_knock in zip(together, ringing, alone, strict=True):
+        size = np.maximum(np.sqrt(of_modes * of_knock), NOTHING)
+        correlation = np.clip((both - of_modes - of_knock) / (2 * size), -1.0, 0.0)
+        regression = np.clip(correlation * of_knock / size, -1.0, 0.0)
+        power = of_knock * np.maximum(1 - correlation**2, LEAST_INDEPENDENT)
+        energy.append(10 * np.log10(np.maximum(power, least)))
+        share.append(1 - (1 + regression) ** 2)
+    return energy, share
 
 
 def _ringing(response: ModalResponse, static: np.ndarray) -> np.ndarray:
