@@ -7,8 +7,8 @@ program that computes the sound:
 
 - `model`: the program's own string and hammer, at a contact rate that no fit uses. These cases test the statistics.
 - `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
-  shares no line with the program. Half of these cases glide: all frequencies of the free string fall by some
-  cents with a time constant, as with tension modulation, more after a harder stroke. Half of them beat: the
+  shares no line with the program. Half of these cases glide: the tension of the free string falls, and the pitch by
+  some cents with a time constant, more after a harder stroke. Half of them beat: the
   stroke excites two axes, the second fainter and detuned by up to three cents. Each is simulated, and
   the sound is their sum. Every fourth case has both.
 - `same-window`: the same cases with the program's window. The difference is the effect of the window.
@@ -291,8 +291,8 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
 def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     """The truth by name, of one recording's stroke: the hardest's by default.
 
-    A gliding string's c and κ are those of the mean pitch over `HEARD`. The witness' fall begins when the hammer has
-    left, a few milliseconds after the stroke: c and κ lie in a range. Two axes have two pitches. A note far shorter
+    A gliding string's c is that of the mean pitch over `HEARD`. The witness' fall begins when the hammer has left, a
+    few milliseconds after the stroke: c lies in a range. Two axes have two pitches. A note far shorter
     than their beat sounds at the mean of the two by their shares, one far longer at that of the stronger, so between
     these the truth of c and κ lies. The witness' window has no width of the model's own kind, so the effective width
     has no truth there.
@@ -304,7 +304,7 @@ def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     mean = sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
     share = truth.beat_level / (1 + truth.beat_level)
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
-    ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
+    tensions = 1 + mean, 1 + mean * math.exp(CONTACT / tau)
     values = {
         **truth.string._asdict(),
         **truth.hammer._asdict(),
@@ -313,4 +313,5 @@ def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     }
     values |= {"width": truth.geometry.width} if WINDOWS.get(kind) != "parabola" else {}
     values = {name: float(value) for name, value in values.items()}
-    return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}
+    c = values["c"] * tensions[0] * pulled[0], values["c"] * tensions[1] * pulled[1]
+    return values | {"c": c, "kappa": (values["kappa"] * pulled[0], values["kappa"] * pulled[1])}

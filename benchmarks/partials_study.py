@@ -80,9 +80,13 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
         c = np.hstack([c, c * second[:, None]])
         p = np.hstack([p, p + 2j * np.pi * apart[:, None]])
     t = np.arange(int(SECONDS * RATE)) / RATE
-    # Glide of 3 cents with a time constant of 1 s, the same for all partials.
+    # Glide of 3 cents with a time constant of 1 s, of each partial by the share of the tension.
     bend = 3 * np.log(2) / 1200 * (1 - np.exp(-t)) if case == "glide" else 0.0
-    tones = ((a * np.exp(s.real * t + 1j * s.imag * (t + bend))).real for a, s in zip(c.flat, p.flat, strict=True))
+    share = np.broadcast_to((1 / (1 + B * k**2))[:, None], p.shape)
+    tones = (
+        (a * np.exp(s.real * t + 1j * s.imag * (t + x * bend))).real
+        for a, s, x in zip(c.flat, p.flat, share.flat, strict=True)
+    )
     x = sum(tones, np.zeros(len(t)))
     x[: RATE * 3 // 1000] *= np.sin(np.linspace(0, np.pi / 2, RATE * 3 // 1000)) ** 2
     x = np.concatenate([np.zeros(int(LEAD * RATE)), x])
@@ -90,7 +94,7 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
         x = x + 1e-3 * np.sqrt(np.mean(x[: 2 * RATE] ** 2)) * rng.standard_normal(len(x))
     recording = replace(recording_from_samples(x, RATE), onset=int(LEAD * RATE))
     # Mean pitch over 0.2 to 1.0 s, the interval in which the analysis defines f0.
-    sharp = 2 ** (3 / 1200 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8) if case == "glide" else 1.0
+    sharp = 2 ** (3 / 1200 * share[:, 0] * (np.exp(-0.2) - np.exp(-1.0)) / 0.8) if case == "glide" else 1.0
     return recording, Truth(k, f * sharp, decay, energy_level(c, p))
 
 

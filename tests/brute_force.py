@@ -235,7 +235,9 @@ def low_pass(rate: float) -> np.ndarray:
     return scipy.signal.firwin(taps | 1, 0.49 * rate, window=("kaiser", beta), fs=OVERSAMPLING * rate)
 
 
-def _decimated(hit: Strike, samples: int, lead: int, rate: float, glide: float, glide_seconds: float) -> np.ndarray:
+def _decimated(
+    string: Any, hit: Strike, samples: int, lead: int, rate: float, glide: float, glide_seconds: float
+) -> np.ndarray:
     """The filtered output at the sample rate, after `lead` fine steps of silence."""
     fir = low_pass(rate)
     half = fir.size // 2
@@ -251,22 +253,24 @@ def _decimated(hit: Strike, samples: int, lead: int, rate: float, glide: float, 
     poles, offsets = hit.poles[keep], np.arange(-half, half + 1) / hit.rate
     filtered = hit.amplitudes[keep] * (np.exp(np.outer(poles, offsets)) @ fir)
     free = Strike(hit.rate, *(np.zeros(0),) * 5, poles, filtered)
-    late = _gliding(free, times, glide, glide_seconds) if glide else free.free(times)
+    late = _gliding(string, free, times, glide, glide_seconds) if glide else free.free(times)
     return np.concatenate([early, late])
 
 
-def _gliding(free: Strike, times: np.ndarray, ratio: float, seconds: float) -> np.ndarray:
-    """The exponentials with all frequencies falling from the simulated ones to 1/ratio of them."""
-    late = 1 / ratio
-    clock = late * times + (1 - late) * seconds * (1 - np.exp(-times / seconds))
+def _gliding(string: Any, free: Strike, times: np.ndarray, ratio: float, seconds: float) -> np.ndarray:
+    """The exponentials while the wave speed falls from the simulated one to 1/ratio of it, at a constant stiffness."""
+    behind = (1 - 1 / ratio) * (times - seconds * (1 - np.exp(-times / seconds)))
     up = free.poles.imag > 0
     poles, amplitudes = free.poles[up], 2 * free.amplitudes[up]
+    # ω² = c² s + κ² s²; the tension's share of it is c² s/ω².
+    s = 2 * poles.imag**2 / (string.c**2 + np.sqrt(string.c**4 + (2 * string.kappa * poles.imag) ** 2))
+    turn = poles.imag * string.c**2 * s / poles.imag**2
     out = np.empty(times.size)
     for start in range(0, times.size, 4096):
         part = slice(start, start + 4096)
         # Exponentials 240 dB below the strongest are left out: they are most of all, and most of the cost.
         rings = np.abs(amplitudes) * np.exp(poles.real * times[start]) > 1e-12 * np.abs(amplitudes).max()
-        phase = np.outer(times[part], poles[rings].real) + 1j * np.outer(clock[part], poles[rings].imag)
+        phase = np.outer(times[part], poles[rings]) - 1j * np.outer(behind[part], turn[rings])
         out[part] = (np.exp(phase) @ amplitudes[rings]).real
     return out
 
@@ -302,9 +306,9 @@ def _clean(
     planes = [(1.0, ratio)] + ([(beating_level, ratio * 2 ** (beating_cents / 1200))] if beating_cents else [])
     out = np.zeros(samples)
     for level, r in planes:
-        plane = _Scaled(string, c=string.c * r, kappa=string.kappa * r)
+        plane = _Scaled(string, c=string.c * r, kappa=string.kappa * r / ratio)
         hit = strike(plane, hammer, geometry, rate=OVERSAMPLING * rate, quantity=quantity, window=window, points=points)
-        out += level * _decimated(hit, samples, lead, rate, ratio if glide_cents else 0.0, glide_seconds)
+        out += level * _decimated(plane, hit, samples, lead, rate, ratio if glide_cents else 0.0, glide_seconds)
     out.flags.writeable = False
     return out
 
@@ -319,7 +323,7 @@ def make_synthetic_recording(
 
     `quantity` is "velocity", "displacement" (both at the pickup), "bridge-force", or "pressure": the force on the
     bridge through an unknown path, whose level varies by `path_db` (default 3 dB). `noise_db` is the level of white
-    noise relative to the rms of the first second of the note. The pitch of the note starts `glide_cents` above that of
+    noise relative to the rms of the first second of the note. The wave speed starts `glide_cents` above that of
     `string` and falls with the time constant `glide_seconds`. `beating_cents` adds a second polarisation.
     """
     source = "bridge-force" if quantity == "pressure" else quantity

@@ -19,7 +19,8 @@ F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
 
 
 def frequency(number: np.ndarray, f0: float = F0) -> np.ndarray:
-    return number * f0 * np.sqrt(1 + B * np.asarray(number, float) ** 2)
+    """Of the string under the tension of this `f0`: f² = (k f0)² + F0² B k⁴."""
+    return number * np.hypot(f0, F0 * np.sqrt(B) * np.asarray(number, float))
 
 
 def analysis(
@@ -41,7 +42,8 @@ def analysis(
         absent=np.array(absent, int), absent_bound=np.array(bound, float),
     )  # fmt: skip
     return Analysis(
-        f0=f0, f0_error=1e-3, B=B, B_error=1e-6, b1=B1, b1_error=0.01, d2=D2, d2_error=1e-4, partials=partials,
+        f0=f0, f0_error=1e-3, B=B * (F0 / f0) ** 2, B_error=1e-6, b1=B1, b1_error=0.01, d2=D2, d2_error=1e-4,
+        partials=partials,
         scatter_cents=0.0, scatter_decay=0.0, glide_cents=0.0, glide=(), noise_density=np.full(size, 1e-12), note=None,
         warnings=(), glide_start=glide_start,
     )  # fmt: skip

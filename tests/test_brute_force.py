@@ -142,9 +142,8 @@ def test_silence_noise_and_seed():
     assert level == pytest.approx(-60, abs=0.1)
 
 
-def _fundamental(samples: np.ndarray, start: float, stop: float) -> float:
-    """Frequency of the first partial, Hz, from the slope of its phase."""
-    guess = STRING.c / 2
+def _frequency(samples: np.ndarray, start: float, stop: float, guess: float = STRING.c / 2) -> float:
+    """Frequency of the partial near `guess`, Hz, from the slope of its phase."""
     t = np.arange(samples.size) / RATE
     low = scipy.signal.butter(3, 30, fs=RATE, output="sos")
     base = scipy.signal.sosfiltfilt(low, samples * np.exp(-2j * np.pi * guess * t))
@@ -157,9 +156,28 @@ def test_glide_falls_to_the_strings_own_pitch():
         STRING, HAMMER, GEOMETRY, seconds=2.5, rate=RATE, quantity="velocity", glide_cents=6, glide_seconds=0.3
     )
     exact = math.sqrt((STRING.c * math.pi) ** 2 + (STRING.kappa * math.pi**2) ** 2) / (2 * math.pi)
-    early, late = _fundamental(sound, 0.05, 0.15), _fundamental(sound, 1.8, 2.4)
+    early, late = _frequency(sound, 0.05, 0.15), _frequency(sound, 1.8, 2.4)
     assert 1200 * math.log2(late / exact) == pytest.approx(0, abs=0.05)
     assert 1200 * math.log2(early / exact) == pytest.approx(6 * math.exp(-0.1 / 0.3), abs=0.2)
+
+
+def test_a_glide_is_a_change_of_tension():
+    """A partial of a string as stiff as tense falls by half as many cents as its fundamental."""
+    stiff = STRING._replace(kappa=STRING.c / (4 * math.pi))
+    exact = [math.hypot(STRING.c * b, stiff.kappa * b**2) / (2 * math.pi) for b in (math.pi, 4 * math.pi)]
+    sound = brute_force.make_synthetic_recording(
+        stiff,
+        HAMMER,
+        GEOMETRY,
+        seconds=2.5,
+        rate=RATE,
+        quantity="velocity",
+        glide_cents=6,
+        glide_seconds=0.5,
+        points=60,
+    )
+    low, high = (1200 * math.log2(_frequency(sound, 0.05, 0.15, f) / f) for f in exact)
+    assert high / low == pytest.approx(0.5 / (1 / (1 + 1 / 16)), abs=0.03)
 
 
 def test_a_second_polarisation_beats():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed_cases import B1, D2, F0, PRESSURE, analysis, frequency
+from observed_cases import B1, D2, F0, PRESSURE, B, analysis, frequency
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
@@ -130,10 +130,12 @@ def test_an_absent_partial_beats_like_its_neighbour():
 
 def test_strokes_of_different_pitch_meet_the_path_at_different_frequencies():
     two = observed()
-    # Sharper by 2 cents, partial 5 is 5 (2^(2/1200) - 1) spacings nearer to its neighbour. The paths at the two
-    # partials differ by √2 times the median residual.
-    expected = np.sqrt(2) * priors.PATH[0] * np.log(2) / 600 * np.arange(1, 6)
-    np.testing.assert_allclose(two.level.pitch[:, :5], [0 * expected, expected], rtol=1e-9)
+    # Sharper by 2 cents, partial 5 of a string without stiffness is 5 (2^(2/1200) - 1) spacings nearer to its
+    # neighbour. The paths at the two partials differ by √2 times the median residual. A tension moves stiff partials
+    # less.
+    number = np.arange(1, 6)
+    expected = np.sqrt(2) * priors.PATH[0] * np.log(2) / 600 * number / (1 + B * number**2)
+    np.testing.assert_allclose(two.level.pitch[:, :5], [0 * expected, expected], rtol=1e-4)
     assert not observed(scale=1.0).level.pitch.any()
     assert not two.frequency.pitch.any()
     assert not two.decay.pitch.any()
@@ -157,8 +159,8 @@ def test_levels_that_only_pitch_changes_do_not_look_like_a_velocity():
 
 def test_recordings_are_laid_on_one_law():
     o = observed()
-    assert o.cents == pytest.approx([0.0, 2.0])
-    np.testing.assert_allclose(o.frequency.value[0], 0.0, atol=1e-9)
+    assert o.cents == pytest.approx([0.0, 2.0], rel=1e-4)
+    np.testing.assert_allclose(o.frequency.value[0], 0.0, atol=1e-4)
     np.testing.assert_allclose(o.decay.value[0], 0.0, atol=1e-12)
     # Two recordings halve the variance of the noise; each partial counts once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])

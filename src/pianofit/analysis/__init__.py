@@ -2,7 +2,7 @@
 
 from .analyse import analyse, check_analyses
 from .analysis_result import COLUMNS, Analysis, Partials, analysis_to_dict, partial_rows
-from .inharmonicity import law_frequency
+from .inharmonicity import law_frequency, tension_share
 from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, nearest_note
 from .warnings import beating_warning, count_beating
 
@@ -19,6 +19,7 @@ __all__ = [
     "check_analyses",
     "hz_to_note",
     "law_frequency",
+    "tension_share",
     "nearest_note",
     "partial_rows",
 ]

@@ -14,7 +14,7 @@ from ..recording.recording import Recording, Source, to_recording
 from .analysis_result import Analysis, Partials
 from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
 from .glide import PitchGlide, glide_detected, glide_windows, remove_glide
-from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
+from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation, tension_share
 from .measure_knock import measure_knock
 from .note_names import hz_to_note, midi_to_note, note_to_midi
 from .numbering import number_partials
@@ -108,14 +108,15 @@ def _measure_all(
     """Measure the partials `number` at `frequency` (Hz) [partials] near the rough `law`, and fit the laws."""
     skip = min(0.005, 0.05 * (len(samples) / recording.rate))  # s; the contact has ended by then, or nearly
     fitted = _fit_all(samples, recording.rate, skip, number, frequency, law)
-    windows = glide_windows(fitted)
+    share = tension_share(law.B, number)
+    windows = glide_windows(fitted, share)
     glides = glide_detected(windows)
     # A single partial in a late window follows the glide only if a glide was detected. Otherwise it follows its beats.
     usable = windows if glides else [window for window in windows if np.isfinite(window[3])]
     glide_cents = float(usable[0][2] - usable[-1][2]) if len(usable) > 1 else 0.0
     removed, glide_error = PitchGlide(0.0, 1.0), 0.0
     if glides:
-        fitted, removed, glide_error = remove_glide(fitted, windows)
+        fitted, removed, glide_error = remove_glide(fitted, windows, share)
     table, level_law = measure_partials(number, fitted, glides)
     keep = _plausible(table, _expected_frequencies(law, number, frequency, number), law.f0) & ~fitted.drifted
     keep[keep] = _near_law(number[keep], table.frequency[keep], table.total_error("frequency")[keep])

@@ -1,8 +1,9 @@
-"""Glide: the pitch of real strings falls by some cents during the decay, equally for all partials.
+"""Glide: the tension and with it the pitch of real strings falls during the decay.
 
-A partial whose frequency changes is not an exponential. An exponential fit overestimates its decay rate, most for high
-partials. The glide is therefore fitted to all partials together, as g exp(-t/τ) cents. It is removed from their phases
-before the partials are fitted.
+The fundamental falls by some cents, and each partial by the share of the tension in its restoring force, 1/(1 + B k²).
+A partial whose frequency changes is not an exponential. An exponential fit overestimates its decay rate. The glide is
+therefore fitted to all partials together, as g exp(-t/τ) cents. It is removed from their phases before the partials are
+fitted.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class PitchGlide(NamedTuple):
     tau: float  # s
 
     def relative_deviation(self, t: np.ndarray) -> np.ndarray:
-        """Relative deviation of a partial from its frequency at t, s after the onset."""
+        """Relative deviation of the fundamental from its frequency at t, s after the onset."""
         mean = _mean(FREQUENCY_WINDOW, self.tau)
         return self.start_cents / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
 
@@ -49,11 +50,11 @@ class PitchGlide(NamedTuple):
         return self.start_cents / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
 
 
-def glide_windows(fitted: FittedBands) -> list[Window]:
+def glide_windows(fitted: FittedBands, share: np.ndarray) -> list[Window]:
     """Pitch of each window relative to 0.2 to 1.0 s.
 
-    The pitch is the median change of frequency over partials, because beats change each partial differently, and a
-    glide changes all equally.
+    The pitch is the median over partials of the change of frequency over its share of the tension [partials]. Beats
+    change each partial differently.
     """
     bands = fitted.bands
     end = float(bands.time[-1])
@@ -67,7 +68,7 @@ def glide_windows(fitted: FittedBands) -> list[Window]:
             local = fit_exponentials(fitted.z[:, frames], t, fitted.fit.pole, steps=6)
             cents = CENTS * np.log1p(np.clip(local.pole.imag / (2 * np.pi * bands.centre), -0.1, 0.1))
             usable = (local.power > 30.0 * fitted.frame_noise) & ~has_drifted(bands, local)
-            shift.append(np.where(usable, cents, np.nan))
+            shift.append(np.where(usable, cents / share, np.nan))
         spans.append((start, float(min(stop, end + bands.window / 2))))
     rows = []
     for span, row in zip(spans, shift, strict=True):
@@ -85,8 +86,10 @@ def glide_detected(windows: list[Window]) -> bool:
     return any(abs(cents) > max(_SIGNIFICANT * error, _LEAST_GLIDE) for _, _, cents, error in windows)
 
 
-def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBands, PitchGlide, float]:
-    """The bands without the glide, the glide, and its error in cents.
+def remove_glide(
+    fitted: FittedBands, windows: list[Window], share: np.ndarray
+) -> tuple[FittedBands, PitchGlide, float]:
+    """The bands without the glide, the glide, and its error in cents; `share` of the tension of partials [partials].
 
     The mean pitch over the reference window does not change. The remaining glide is measured and removed again as long
     as it becomes smaller. Windows without a standard error are not used.
@@ -96,9 +99,9 @@ def remove_glide(fitted: FittedBands, windows: list[Window]) -> tuple[FittedBand
     total, errors = np.array([row[2:] for row in windows]).T
     error, best = float(np.abs(total).max()), fitted
     for _ in range(8):
-        straight = replace(bands, z=bands.z * _compensation(bands, fitted.fit, _fit_glide(spans, total, errors)))
+        straight = replace(bands, z=bands.z * _compensation(bands, fitted.fit, _fit_glide(spans, total, errors), share))
         fitted = fit_bands(straight, fitted.density)
-        remaining = {row[:2]: row[2] for row in glide_windows(fitted)}
+        remaining = {row[:2]: row[2] for row in glide_windows(fitted, share)}
         cents = np.array([remaining.get(span, 0.0) for span in spans])
         if np.abs(cents).max() >= error:
             break
@@ -128,12 +131,12 @@ def _fit_glide(spans: list[tuple[float, float]], cents: np.ndarray, errors: np.n
     return PitchGlide(float(size[best] * (1 - _mean(FREQUENCY_WINDOW, tau[best]))), float(tau[best]))
 
 
-def _compensation(bands: Bands, fit: Exponentials, glide: PitchGlide) -> NDArray[np.complex128]:
+def _compensation(bands: Bands, fit: Exponentials, glide: PitchGlide, share: np.ndarray) -> NDArray[np.complex128]:
     """Factors [partials, frames] that remove the glide g exp(-t/τ) from the phase and the gain of the window.
 
     The gain falls with the distance of a partial from the middle of its band.
     """
-    turn = 2j * np.pi * bands.centre[:, None]
+    turn = 2j * np.pi * (share * bands.centre)[:, None]
     middle = 1j * fit.pole.imag[:, None]
     straight = np.exp(-turn * glide.phase_advance_s(bands.time)) * bands.gain(middle)
     return straight / bands.gain(middle + turn * glide.relative_deviation(bands.time))

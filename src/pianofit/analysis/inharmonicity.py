@@ -70,6 +70,14 @@ def law_frequency(f0: float | np.ndarray, B: float | np.ndarray, k: np.ndarray |
     return k * f0 * np.sqrt(1 + B * k**2)
 
 
+def tension_share(B: float, k: np.ndarray | float) -> np.ndarray:
+    """Share of the tension in the restoring force of partials `k`, 1/(1 + B k²): d log f over d log f0 at one κ.
+
+    A tension that changes moves high partials by less, because their stiffness does not change.
+    """
+    return 1 / (1 + B * np.asarray(k, float) ** 2)
+
+
 def local_deviation(detected: np.ndarray, deviation: np.ndarray, k: np.ndarray) -> np.ndarray:
     """Deviation of partials `k` [n] from the law, cents, predicted from the `deviation` of partials `detected`.
 

@@ -51,8 +51,7 @@ def _level(
 ):
     """Levels, dB [rows], from the arrival of the wave at the pickup, and whether the contact ended."""
     c, kappa, *losses = jnp.exp(log_string)
-    sharper = jnp.exp2(cents / 1200)  # all partials alike, as the analysis measures glides
-    string = String(c * sharper, kappa * sharper, *losses)
+    string = String(c * jnp.exp2(cents / 1200), kappa, *losses)  # another tension
     logs = dict(zip((*cfg.law.columns, cfg.law.stroke.name), stroke, strict=True))
     values = {name: jnp.exp(log) for name, log in logs.items()}
     if cfg.law.power:  # the entry is the force at the reference compression, unless that is 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..analysis import Analysis, law_frequency
+from ..analysis import Analysis, law_frequency, tension_share
 from ..conversions import CENTS, DB
 from ..transducer import TRANSDUCERS
 from . import priors
@@ -77,7 +77,8 @@ def observe(
     start : its scale, recorded quantity and excitation. Only a contact has a knock.
     """
     ref = analyses[reference]
-    cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
+    pitch = np.array([_pitch_over(a, ref) for a in analyses])
+    cents = pitch + np.array([a.glide_start for a in analyses])
     detected = np.unique(np.concatenate([a.partials.number for a in analyses]))
     # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
     number = detected if start.unknown_path else np.arange(1, detected.max() + 1)
@@ -86,13 +87,30 @@ def observe(
     if start.unknown_path and start.law.has_contact and np.isfinite([a.knock for a in analyses]).any():
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = _string_law(ref, detected)
-    frequency, decay = _string_tables(analyses, detected, law[0], ref)
+    frequency, decay = _string_tables(analyses, pitch, detected, law[0], ref)
     return Observations(number, level, frequency, decay, detected, law, cents)
 
 
 def _string_law(analysis: Analysis, number: np.ndarray) -> np.ndarray:
     """Frequencies, Hz, and decays, 1/s, of partials by the string model of an analysis [2, K]."""
     return np.stack([law_frequency(analysis.f0, analysis.B, number), analysis.b1 + analysis.d2 * number**2])
+
+
+def _pitch_over(analysis: Analysis, reference: Analysis) -> float:
+    """Pitch of a recording over that of the reference, cents of f0: strings of one key differ in tension alone.
+
+    It is the median over the partials of both of the difference of frequency over its share of the tension, with
+    weights of its variance. The f0 of one recording alone depends on its B, which scatters between recordings.
+    """
+    own, other = analysis.partials, reference.partials
+    number, i, j = np.intersect1d(own.number, other.number, return_indices=True)
+    if not len(number):
+        return float(CENTS * np.log(analysis.f0 / reference.f0))
+    share = tension_share(reference.B, number)
+    error = np.hypot(own.total_error("frequency")[i], other.total_error("frequency")[j]) * CENTS / other.frequency[j]
+    weight = share**2 / (error**2 + priors.FREQUENCY.median[0] ** 2)
+    cents = CENTS * np.log(own.frequency[i] / other.frequency[j]) / share
+    return float(np.quantile(cents, 0.5, weights=weight, method="inverted_cdf"))
 
 
 def select_partials(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
@@ -168,7 +186,7 @@ def _levels(
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         excess_profile=np.ones(len(number)),
         smooth_profile=np.ones(len(number)),
-        pitch=slope * np.outer(cents / CENTS, number),
+        pitch=slope * np.outer(cents / CENTS, number * tension_share(ref.B, number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
         velocity=np.zeros((len(layout.stroke), 0)),
@@ -226,18 +244,18 @@ def _columns(
 
 
 def _string_tables(
-    analyses: Sequence[Analysis], number: np.ndarray, frequency: np.ndarray, ref: Analysis
+    analyses: Sequence[Analysis], pitches: np.ndarray, number: np.ndarray, frequency: np.ndarray, ref: Analysis
 ) -> tuple[ObservationTable, ObservationTable]:
     """Frequencies, cents, and log decays, both over the reference's string model, of all recordings pooled as one.
 
     A real string deviates from its model in the same way in all recordings, so more recordings do not reduce it.
     """
     pitch, loss = [], []
-    for a in analyses:
+    for a, offset in zip(analyses, pitches, strict=True):
         t = a.partials
-        own, (shared, decay) = law_frequency(a.f0, a.B, t.number), _string_law(ref, t.number)
-        # Relative to the recording's own pitch and to the reference's inharmonicity.
-        cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
+        shared, decay = _string_law(ref, t.number)
+        # Over the reference's string at the tension of the recording.
+        cents = CENTS * np.log(t.frequency / shared) - offset * tension_share(ref.B, t.number)
         per_hertz = CENTS / t.frequency
         systematic = t.frequency_systematic * np.outer(per_hertz, per_hertz)
         pitch.append((t.number, cents, t.frequency_error * per_hertz, systematic))
@@ -247,8 +265,8 @@ def _string_tables(
     profile = (number / priors.REFERENCE_PARTIAL) ** priors.DEVIATION_GROWTH
     # Error of the pitch, cents: of the glide that was removed, and scatter of the strokes' pitch, by tension and by
     # partials that beat. One recording does not show the scatter.
-    scatter = np.std([CENTS * np.log(a.f0) for a in analyses], ddof=1) if len(analyses) > 1 else 0.0
-    common = np.full((1, 1, len(number)), max(np.hypot(ref.glide_error, scatter), 1e-9))
+    scatter = np.std(pitches, ddof=1) if len(analyses) > 1 else 0.0
+    common = max(np.hypot(ref.glide_error, scatter), 1e-9) * tension_share(ref.B, number)[None, None]
     return (
         _string_table(frequency, *_pool_recordings(number, pitch), profile, common, priors.FREQUENCY),
         _string_table(frequency, *_pool_recordings(number, loss), np.ones(len(number)), 0 * common, priors.DECAY),

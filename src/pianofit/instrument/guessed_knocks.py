@@ -55,7 +55,7 @@ class KnockFields(NamedTuple):
     correlation: float  # of the waveforms of two channels
     samples: int  # of a knock, from `PRE_ONSET_S` before the contact
     independent: tuple[np.ndarray, ...]  # energy that is independent of the modes, dB [keys, channels, bands, frames]
-    cancelled: tuple[np.ndarray, ...]  # share of the modes' power that the knock cancels [keys, channels, bands, frames]
+    cancelled: tuple[np.ndarray, ...]  # share of the modes' power that the knock cancels, in the same order
     shape: FieldShape  # of the independent energy over frequency and key
     rate: int  # Hz
 
@@ -114,9 +114,7 @@ def _by_window(keys: Iterable[Sequence[np.ndarray]]) -> tuple[np.ndarray, ...]:
     return tuple(np.array(of_keys) for of_keys in zip(*keys, strict=True))
 
 
-def _parts(
-    response: ModalResponse, static: np.ndarray, knock: np.ndarray
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _parts(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Independent energy of a knock, dB, and the share of the modes' power that it cancels.
 
     Both are [channels, bands, frames] for each window. With the regression a of the knock on the modes, the share is

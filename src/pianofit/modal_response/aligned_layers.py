@@ -5,7 +5,7 @@ Their pitches still differ a little, and so do those of single partials. Both ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +31,8 @@ PITCH_PARTIALS = 16
 LEAST_PITCH_COHERENCE = 0.5
 # Largest relative detuning of a layer from the last layer that is searched: five cents.
 LARGEST_DETUNING = 3e-3
-# Largest deviation of a partial from its layer's pitch: a constant, Hz, and a relative part of a third of a cent. A
-# real string does not have one pitch for all partials.
+# Largest deviation of a partial from its layer's pitch: a constant, Hz, and a relative part of a third of a cent.
+# Beats change each partial differently.
 LARGEST_DEVIATION = 0.03, 2e-4
 # Phases are compared between these times after the onset, s: past the attack and above the noise.
 COMPARED = 0.08, 2.5
@@ -75,8 +75,9 @@ def align_layers(recordings: Sequence[Recording], analyses: Sequence[Analysis]) 
 def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> np.ndarray:
     """Resample a sound in time so that its pitch is constant [channels, samples].
 
-    A string's tension falls during the decay and changes all partials by one factor. A rising pitch comes from beating
-    and is left unchanged, as is a glide that is not significant.
+    A string's tension falls during the decay. It changes all partials by one factor as long as the stiffness is small.
+    A part of the glide of high partials, which are short, is removed in excess. A rising pitch comes from beating and
+    is left unchanged, as is a glide that is not significant.
     """
     if analysis.glide_start <= SIGNIFICANT_GLIDE * analysis.glide_error:
         return x
@@ -97,18 +98,21 @@ def partial_band(spectrum: np.ndarray, samples: int, rate: float, frequency: flo
 
 
 def relative_pitches(
-    spectrum: np.ndarray, layers: AlignedLayers, partials: Sequence[tuple[int, float, float]]
+    spectrum: np.ndarray,
+    layers: AlignedLayers,
+    partials: Sequence[tuple[int, float, float]],
+    share: Mapping[int, float],
 ) -> np.ndarray:
-    """Relative detuning of each layer from the last [layers]: the weighted median over its partials.
+    """Relative detuning of f0 of each layer from the last [layers]: the weighted median over its partials.
 
     The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent. `partials`
-    has number, frequency and spacing of each, Hz.
+    has number, frequency and spacing of each, Hz, and `share` the share of the tension in their restoring forces.
     """
     offset, weight = [], []
-    for _, frequency, spacing in partials[:PITCH_PARTIALS]:
+    for number, frequency, spacing in partials[:PITCH_PARTIALS]:
         b = partial_band(spectrum, layers.samples.shape[-1], layers.rate, frequency, spacing)
         detuning, coherence = _offsets(b, np.zeros(len(b.z)), LARGEST_DETUNING * frequency)
-        offset.append(detuning / frequency)
+        offset.append(detuning / (share[number] * frequency))
         weight.append(np.where(coherence > LEAST_PITCH_COHERENCE, coherence**2, 1e-9))
     pitch = np.zeros(len(layers.samples))
     for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
@@ -121,7 +125,8 @@ def relative_pitches(
 def track_offsets(b: Bands, pitch: np.ndarray) -> np.ndarray:
     """Frequency of a partial in each layer minus that in the last layer, Hz [layers].
 
-    It is measured from the phase if that is coherent. Otherwise it follows from the layers' relative `pitch`.
+    It is measured from the phase if that is coherent. Otherwise it follows from the relative `pitch` of this partial
+    in the layers.
     """
     frequency = float(b.centre)
     expected = frequency * pitch

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..analysis import Analysis, law_frequency
+from ..analysis import Analysis, law_frequency, tension_share
 from ..dsp.bands import Bands
 from ..dsp.common_poles import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
 from ..dsp.damped_sums import powers, sum_damped_modes
@@ -105,12 +105,14 @@ def modes_of(layers: AlignedLayers, analyses: Sequence[Analysis]) -> list[Partia
     """
     spectrum = np.fft.rfft(layers.samples)
     partials = _partials(analyses, layers.rate)
-    pitch = relative_pitches(spectrum, layers, partials)
-    first = _strong([_fit(spectrum, layers, partial, pitch) for partial in partials])
+    share = {number: float(tension_share(analyses[-1].B, number)) for number, *_ in partials}
+    pitch = relative_pitches(spectrum, layers, partials, share)
+    first = _strong([_fit(spectrum, layers, partial, share[partial[0]] * pitch) for partial in partials])
     if not first:
         return []
     residual = np.fft.rfft(layers.samples - synthesise(first, layers))
-    return _strong([_fit(residual, layers, (m.number, m.frequency, m.spacing), pitch, m) for m in first])
+    again = [((m.number, m.frequency, m.spacing), share[m.number] * pitch, m) for m in first]
+    return _strong([_fit(residual, layers, *partial) for partial in again])
 
 
 def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float, float]]:
@@ -119,7 +121,7 @@ def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float,
     detected: dict[int, list[float]] = {}
     for a in analyses:
         for k, f in zip(a.partials.number, a.partials.frequency, strict=True):
-            detected.setdefault(int(k), []).append(f * last.f0 / a.f0)
+            detected.setdefault(int(k), []).append(f * (last.f0 / a.f0) ** tension_share(last.B, k))
     rows = [
         (k, float(np.median(f)), float(np.diff(law_frequency(last.f0, last.B, np.array([k, k + 1])))[0]))
         for k, f in sorted(detected.items())
