@@ -151,7 +151,7 @@ class Analysis:
     noise_density: np.ndarray  # [partials], one-sided noise power density at each partial, full scale²/Hz
     note: str | None
     warnings: tuple[str, ...]
-    glide_error: float = 0.0  # cents, common to all frequencies: error of a glide that was removed
+    glide_error: float = 0.0  # cents of f0: error of a glide that was removed
     glide_start: float = 0.0  # cents above f0 at which a glide that was removed began
     glide_tau: float = 1.0  # s, time constant of a glide that was removed
     level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, which the levels are based on
