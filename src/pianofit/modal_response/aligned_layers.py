@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..analysis import Analysis
+from ..analysis import Analysis, tension_share
 from ..dsp.bands import Bands, hann_band
 from ..dsp.damped_sums import powers
 from ..dsp.filters import resample
@@ -75,9 +75,8 @@ def align_layers(recordings: Sequence[Recording], analyses: Sequence[Analysis]) 
 def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> np.ndarray:
     """Resample a sound in time so that its pitch is constant [channels, samples].
 
-    A string's tension falls during the decay. It changes all partials by one factor as long as the stiffness is small.
-    A part of the glide of high partials, which are short, is removed in excess. A rising pitch comes from beating and
-    is left unchanged, as is a glide that is not significant.
+    A resampling moves all partials alike, and a tension moves stiff ones less. The median partial is straightened. A
+    rising pitch comes from beating and is left unchanged, as is a glide that is not significant.
     """
     if analysis.glide_start <= SIGNIFICANT_GLIDE * analysis.glide_error:
         return x
@@ -85,8 +84,9 @@ def _without_glide(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> n
 
     time = (np.arange(x.shape[-1]) - lead) / rate
     fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), resample(x, rate, 2 * rate), axis=-1)
+    share = float(np.median(tension_share(analysis.B, analysis.partials.number)))
     # A given phase is reached later when the pitch does not fall.
-    return fine(np.interp(time, time + analysis.glide_model.phase_advance_s(np.maximum(time, 0.0)), time))
+    return fine(np.interp(time, time + share * analysis.glide_model.phase_advance_s(np.maximum(time, 0.0)), time))
 
 
 def partial_band(spectrum: np.ndarray, samples: int, rate: float, frequency: float, spacing: float) -> Bands:
