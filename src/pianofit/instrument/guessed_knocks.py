@@ -62,10 +62,10 @@ class KnockFields(NamedTuple):
     def noise_power(self, midi: int, modes: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Predict the power of the noise of a key from that of its modes, [channels, bands, frames] for each window."""
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
-        weights = Field(points, self.shape).weights(FieldPoints.of_key(np.zeros(1), midi))
-        # Cells scatter about the field in every key, which raises their mean power. The uncertainty of the field itself
-        # is common to many cells, so it does not.
-        surplus = self.shape.white(1.0) / DB
+        field, at = Field(points, self.shape), FieldPoints.of_key(np.zeros(1), midi)
+        weights = field.weights(at)
+        # The expected power, as of the partials (`guessed_keys`).
+        surplus = field.variance(weights, at) / DB
         out = []
         for energy, cancelled, ringing in zip(self.independent, self.cancelled, modes, strict=True):
             power = 10 ** ((points.predict(weights, energy)[0] + surplus) / 10)
