@@ -4,7 +4,7 @@
 
 A tension moves partial k by the share 1/(1 + B k²) of the cents of f0, because the stiffness does not change. Another
 speed of playback would move all partials alike. Every key of `crossval.py` and of ../shared/pianos is analysed. A row
-has the layer that differs most from the softest one: the median of its cents over shared partials of low (share above
+has the layer that differs most from the faintest one: the median of its cents over shared partials of low (share above
 0.95), middle and high number (share below 0.7), and the robust scatter of all about one shift and about one tension.
 """
 
@@ -21,12 +21,8 @@ PIANOS = "../shared/pianos"
 BOUNDS = (0.7, 0.95)
 # Standard deviation of a normal distribution over its median absolute deviation.
 NORMAL = 1.4826
+# Fewest shared partials of two layers.
 FEWEST = 8
-
-
-def weighted_median(x: np.ndarray, weight: np.ndarray) -> float:
-    """Median of x with weights."""
-    return float(np.quantile(x, 0.5, weights=weight, method="inverted_cdf"))
 
 
 def compare(one, other) -> dict | None:
@@ -40,7 +36,7 @@ def compare(one, other) -> dict | None:
     cents = CENTS * np.log(other.partials.frequency[j] / one.partials.frequency[i])
     share = tension_share(one.B, number)
     groups = np.digitize(share, BOUNDS)
-    tension = weighted_median(cents / share, share)
+    tension = np.quantile(cents / share, 0.5, weights=share, method="inverted_cdf")
     scatter = [NORMAL * np.median(np.abs(cents - shift)) for shift in (np.median(cents), tension * share)]
     medians = [np.median(cents[groups == g]) if np.any(groups == g) else np.nan for g in (2, 1, 0)]
     return {"partials": len(number), "tension": tension, "medians": medians, "scatter": scatter}
@@ -61,10 +57,10 @@ def main() -> None:
         for key, (note, files, _) in notes(folder).items():
             if wanted and key not in wanted:
                 continue
-            softest, *others = sorted(
+            faintest, *others = sorted(
                 (analyse(load_recording(file), note=note) for file in files), key=lambda a: a.partials.level.max()
             )
-            found = [row for other in others if (row := compare(softest, other))]
+            found = [row for other in others if (row := compare(faintest, other))]
             if found:
                 row = max(found, key=lambda row: abs(row["tension"]))
                 rows.append(row["scatter"])

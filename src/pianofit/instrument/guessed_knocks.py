@@ -43,10 +43,6 @@ BEGINNING_S = 0.001
 SEED = 0
 # Range of the energies, dB below the loudest cell of the knock. Fainter cells are rounding.
 RANGE = 80.0
-# Least share of the energy of a cell that counts as independent of the modes. The correlation is estimated from a few
-# bins, and could leave nothing. Ten times as much or as little changes the low energy of guessed keys by 0.1 dB at most
-# (`benchmarks/evenness.py`).
-LEAST_INDEPENDENT = 0.01
 
 
 class KnockFields(NamedTuple):
@@ -133,8 +129,7 @@ def _parts(response: ModalResponse, static: np.ndarray, knock: np.ndarray) -> tu
         size = np.maximum(np.sqrt(of_modes * of_knock), NOTHING)
         correlation = np.clip((both - of_modes - of_knock) / (2 * size), -1.0, 0.0)
         regression = np.clip(correlation * of_knock / size, -1.0, 0.0)
-        power = of_knock * np.maximum(1 - correlation**2, LEAST_INDEPENDENT)
-        energy.append(10 * np.log10(np.maximum(power, least)))
+        energy.append(10 * np.log10(np.maximum(of_knock * (1 - correlation**2), least)))
         share.append(1 - (1 + regression) ** 2)
     return energy, share
 

@@ -114,12 +114,7 @@ def relative_pitches(
         detuning, coherence = _offsets(b, np.zeros(len(b.z)), LARGEST_DETUNING * frequency)
         offset.append(detuning / (share[number] * frequency))
         weight.append(np.where(coherence > LEAST_PITCH_COHERENCE, coherence**2, 1e-9))
-    pitch = np.zeros(len(layers.samples))
-    for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
-        order = np.argsort(x)
-        total = np.cumsum(w[order])
-        pitch[i] = x[order][np.searchsorted(total, total[-1] / 2)]
-    return pitch
+    return np.quantile(np.array(offset), 0.5, axis=0, weights=np.array(weight), method="inverted_cdf")
 
 
 def track_offsets(b: Bands, pitch: np.ndarray) -> np.ndarray:
