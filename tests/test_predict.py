@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,6 +53,17 @@ def test_what_strokes_leave_is_taken_along():
         assert found.error_db < 0.05
         assert found.velocity == pytest.approx(velocity, rel=0.01)
         assert predict_recording(note._replace(path=path._replace(velocity_discrepancy=None)), recorded).error_db > 1.0
+
+
+def test_its_pitch_is_the_tension_that_explains_the_partials():
+    """The f0 of a recording depends on its B: with a wrong one it says 3 cents where every partial says 5."""
+    it, count = pianofit.typical(30), 30
+    note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    recorded = analysis(np.arange(1, count + 1), note.levels(2.0, count), f0=float(note.f0))
+    tense = note.with_cents(5.0).frequencies(count)
+    partials = replace(recorded.partials, frequency=tense, frequency_error=1e-6 * tense)
+    found = predict_recording(note, replace(recorded, f0=recorded.f0 * 2 ** (3 / 1200), partials=partials))
+    assert found.pitch_offset_cents == pytest.approx(5.0, abs=0.01)
 
 
 def test_gains_that_agree_answer_for_the_next():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..analysis import Analysis, law_frequency, tension_share
+from ..analysis import Analysis, Partials, cents_above, law_frequency, tension_share
 from ..conversions import CENTS, DB
 from ..transducer import TRANSDUCERS
 from . import priors
@@ -53,7 +53,8 @@ class Observations:
     decay: ObservationTable  # of one virtual recording, logarithms over that model
     string_number: np.ndarray  # int, k of the columns of frequency and decay
     law: np.ndarray  # the reference's string model: Hz and 1/s [2, columns]
-    cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
+    pitch: np.ndarray  # of every recording over the reference's, cents [R]
+    cents: np.ndarray  # the same where the glide begins, at the stroke [R]
 
     def with_velocities(self, entry: np.ndarray, size: int) -> Observations:
         """Set which entries of θ [R] are the log velocities of the recordings; θ has `size` entries."""
@@ -88,7 +89,7 @@ def observe(
         level, number = _with_knock(level, analyses), np.append(number, KNOCK)
     law = _string_law(ref, detected)
     frequency, decay = _string_tables(analyses, pitch, detected, law[0], ref)
-    return Observations(number, level, frequency, decay, detected, law, cents)
+    return Observations(number, level, frequency, decay, detected, law, pitch, cents)
 
 
 def _string_law(analysis: Analysis, number: np.ndarray) -> np.ndarray:
@@ -96,21 +97,32 @@ def _string_law(analysis: Analysis, number: np.ndarray) -> np.ndarray:
     return np.stack([law_frequency(analysis.f0, analysis.B, number), analysis.b1 + analysis.d2 * number**2])
 
 
-def _pitch_over(analysis: Analysis, reference: Analysis) -> float:
-    """Pitch of a recording over that of the reference, cents of f0: strings of one key differ in tension alone.
+def pitch_above(
+    partials: Partials, number: np.ndarray, frequency: np.ndarray, error: np.ndarray | float, B: float
+) -> float:
+    """Pitch, cents, of partials above others of `number`, `frequency` and `error`, Hz [n], of a string with this B.
 
-    It is the median over the partials of both of the difference of frequency over its share of the tension, with
-    weights of its variance. The f0 of one recording alone depends on its B, which scatters between recordings.
+    It is the median over shared partials of the difference of frequency over its share of the tension, with weights of
+    its variance: strokes of one key differ in tension alone. The f0 of one recording depends on its own B, which
+    scatters. NaN without shared partials.
     """
-    own, other = analysis.partials, reference.partials
-    number, i, j = np.intersect1d(own.number, other.number, return_indices=True)
-    if not len(number):
-        return float(CENTS * np.log(analysis.f0 / reference.f0))
-    share = tension_share(reference.B, number)
-    error = np.hypot(own.total_error("frequency")[i], other.total_error("frequency")[j]) * CENTS / other.frequency[j]
-    weight = share**2 / (error**2 + priors.FREQUENCY.median[0] ** 2)
-    cents = CENTS * np.log(own.frequency[i] / other.frequency[j]) / share
+    shared, i, j = np.intersect1d(partials.number, number, return_indices=True)
+    if not len(shared):
+        return float("nan")
+    share = tension_share(B, shared)
+    cents = CENTS * np.log(partials.frequency[i] / frequency[j]) / share
+    both = np.hypot(partials.total_error("frequency")[i], np.broadcast_to(error, len(number))[j])
+    weight = share**2 / ((both * CENTS / frequency[j]) ** 2 + priors.FREQUENCY.median[0] ** 2)
     return float(np.quantile(cents, 0.5, weights=weight, method="inverted_cdf"))
+
+
+def _pitch_over(analysis: Analysis, reference: Analysis) -> float:
+    """Pitch of a recording above the reference, cents."""
+    if analysis is reference:
+        return 0.0
+    other = reference.partials
+    cents = pitch_above(analysis.partials, other.number, other.frequency, other.total_error("frequency"), reference.B)
+    return cents if np.isfinite(cents) else cents_above(analysis.f0, reference.f0)
 
 
 def select_partials(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:

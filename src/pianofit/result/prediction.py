@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note
+from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note, law_frequency
 from ..criterion import level_error_db
 from ..dsp.knock_band import centre
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
 from ..excitation import StrokeParameter
 from ..felt import law_of
+from ..inference.observation_tables import pitch_above
 from ..inference.priors import KNOCK_SD, LEVEL, log_gain
 from ..io.files import printable, short_repr
 from ..io.number_format import counted
@@ -137,7 +138,8 @@ def predict_recording(
     total = sum(weight for weight, *_ in fitted)
     level = np.sum([weight / total * (levels + gain) for weight, _, levels, gain in fitted], axis=0)
     _, velocity, _, gain = fitted[0]
-    cents = cents_above(analysis.f0, first.f0)
+    B = float(first.B)
+    cents = pitch_above(p, p.number, law_frequency(float(first.f0), B, p.number), 0.0, B)
     note = first.with_cents(cents).with_stroke(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     error = level_error_db(level[chosen], p.level[chosen])
     low, *_, high = scanned_values(first)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis import cents_above
 from ..conversions import midi_of
 from ..inference import KNOCK, FitProblem, InferenceResult
 from ..literature import reference_compression
@@ -25,12 +24,12 @@ def records_of(
     problem: FitProblem, recordings: Sequence[FittedRecording], velocities: Sequence[Quantity]
 ) -> tuple[RecordingFit, ...]:
     """The records of all recordings; `velocities` are those of the strokes."""
-    layout, f0 = problem.structure, problem.analyses[problem.reference].f0
+    layout, pitch = problem.structure, problem.observed.pitch
     return tuple(
         replace(
             record_of(recording, velocities[stroke], problem.calibrated),
             is_reference=i == problem.reference,
-            pitch_offset_cents=cents_above(recording.analysis.f0, f0),
+            pitch_offset_cents=float(pitch[i]),
             path_group=group,
             stroke=stroke,
             midi_velocity=problem.midi_velocity[i],
