@@ -18,6 +18,7 @@ from pianofit.dsp.damped_sums import sum_damped_modes
 from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
+from pianofit.felt import law_of
 from pianofit.instrument import find_fits, load_instrument, load_keys
 from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_keys import guess_response
@@ -25,9 +26,11 @@ from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.key_quantities import stroke_level
 from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, measure_path, string_partials
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse
+from pianofit.model.modes import mode_table
 from pianofit.model.output_path import OutputPath
 from pianofit.schema.decode import builtins_of
 from pianofit.schema.modal_response import FittedModalResponse, ModalResponseEntry, encode_knock
+from pianofit.transducer import QUANTITIES
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +108,17 @@ def alike(midi: int, gain_db: float | np.ndarray = 0.0, phase: float = 0.4) -> R
     knock = np.zeros((2, 0))
     response = ModalResponse(np.repeat(k, 2), pole.ravel(), np.zeros(40), pattern, knock, RATE)
     return RecordedKey(midi, note._replace(modal_response=response), note, law, (1.0, 4.0))
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_an_impulse_excites_partials_as_the_model_of_a_fit_does(quantity):
+    note, k = true_note(45)._replace(quantity=quantity), np.arange(1, 21)
+    found = string_partials(note, 0.0, len(k))
+    modes = mode_table(note.string, note.geometry, rate=1e6, n_modes=len(k), quantity=quantity)
+    # After a unit impulse the displacement is γ/ω and the signal what the pickup reads of it.
+    expected = np.abs(modes.free_pickup) * modes.modal_gain / (2 * np.pi * found.frequency)
+    excited = law_of(note.hammer).mode_excitation(2 * np.pi * found.frequency)
+    np.testing.assert_allclose(np.abs(found.impulse), np.abs(excited * expected), rtol=1e-3)
 
 
 def energy_of(response: ModalResponse, part: np.ndarray) -> float:

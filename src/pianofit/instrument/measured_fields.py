@@ -170,10 +170,11 @@ def string_partials(note: Note, strike_sd: float, count: int = MOST_PARTIALS) ->
     sine = np.sin(at)
     weight = weight / np.where(np.abs(sine) < 1e-9, 1e-9, sine) * np.sqrt((1 - blur * np.cos(2 * at)) / 2)
     weight = weight * law_of(note.hammer).mode_excitation(omega)
-    if not TRANSDUCERS[note.quantity].on_string:  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
+    transducer = TRANSDUCERS[note.quantity]
+    if not transducer.on_string:  # 2 Φ/M_S over ω, times (-1)^(k+1) M_S/L ω²/β of the tension
         sign = np.where(np.arange(count) % 2, -1.0, 1.0)
         return Partials(frequency, sign * 2 * weight * omega / (beta * g.length))
-    impulse = 2 * weight / g.mass * np.sin(beta * g.pickup) / (1.0 if note.quantity == "velocity" else omega)
+    impulse = 2 * weight / g.mass * np.sin(beta * g.pickup) / (1.0 if transducer.reads_velocity else omega)
     return Partials(frequency, impulse)
 
 
