@@ -152,8 +152,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`LAST_TRUSTED_PARTIAL`": (inharmonicity, "LAST_TRUSTED_PARTIAL", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
         "`LEVEL_FRAMES_SECONDS`": (baseband_fit, "LEVEL_FRAMES_SECONDS", plain),
-        "`_FAST_BEAT_FACTOR`": (partials, "_FAST_BEAT_FACTOR", plain),
-        "`_SLOW_BEAT_FACTOR`": (partials, "_SLOW_BEAT_FACTOR", plain),
+        "`_COMMON`": (partials, "_COMMON", plain),
         "`LEAST_DECAY_RATIO`": (priors, "LEAST_DECAY_RATIO", plain),
         "`EARLY_RANGE`": (envelope_slopes, "EARLY_RANGE", plain),
     }

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from pianofit.analysis import (
     Analysis,
@@ -266,6 +267,23 @@ def test_systematic_covariances_cover_what_a_second_axis_does(name, cents):
         z = away / np.hypot(_spread(table, column), getattr(table, f"{column}_error"))
         assert np.sqrt(np.mean(z**2)) < 2.5, column
         assert np.median(np.abs(away) / getattr(table, f"{column}_error")) > 3, column
+
+
+@pytest.mark.parametrize(("name", "cents", "share"), [("A0", 2.9, 0.35), ("A0", 4.0, 0.5), ("A2", 3.5, 0.5)])
+def test_beats_of_one_stroke_change_all_levels_alike(name, cents, share):
+    """They begin in phase: errors that only neighbours share explain their effect less well, and are not too small."""
+    f0, B, _, b1, _ = STRINGS[name]
+    one = string(f0, B, 30, b1, 20.0 / 30**2, seed=3)
+    table = analyse(_two_axes(one, cents, share).recording(seconds=3.0, noise=1e-6), note=name).partials
+    away = table.level - one.level[np.searchsorted(one.number, table.number)] - 20 * np.log10(1 + share)
+    sd, noise = _spread(table, "level"), np.diag(table.level_error**2 + 0.1**2)
+    near = np.outer(sd, sd) * np.exp(-np.abs(table.number[:, None] - table.number) / 10)
+    assert away @ np.linalg.solve(table.level_systematic + noise, away) < len(away)
+    ours, others = (
+        scipy.stats.multivariate_normal(cov=covariance + noise).logpdf(away)
+        for covariance in (table.level_systematic, near)
+    )
+    assert ours > others + 5
 
 
 def test_a_beat_does_the_same_to_loud_and_soft_recordings():

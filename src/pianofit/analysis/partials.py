@@ -19,7 +19,8 @@ from the first 0.1 s.
 The standard error of each value is that of the noise in the frames, propagated through the least squares to first
 order. The standard deviation of a systematic error is estimated from residuals beyond the noise, and from differences
 between windows beyond the noise. It is zero where neither exceeds the noise. Beats of neighbouring partials are
-similar, so it is estimated from a few neighbours, and their systematic errors are correlated.
+similar, so it is estimated from a few neighbours, and their systematic errors are correlated. Those of levels have a
+common part, because vibrations that one stroke begins are in phase.
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ _DEEP = 1.5  # dB rms, above which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms, below which one exponential is sufficient at any noise
 _COMPONENTS = 0.15  # share of the difference between one component and several that is a systematic error
 _TOLERANCE = 2.5  # standard errors due to noise by which two windows may differ
-_FAST_BEAT_FACTOR = 0.6  # systematic error of a level, nepers, over the amplitude of the residual in the first window
-_SLOW_BEAT_FACTOR = 0.5  # the same, over the amplitude of the beats within 2 s
 _BEAT_VISIBLE = 0.03  # amplitude of the noise over that of the partial, below which a beat can be measured
 _NEAR = 2  # partials on either side from which a systematic error is estimated
 # Partials over which the correlation of systematic errors falls to 1/e; the value of most evidence on beating strings.
 _CORRELATION_LENGTH = 10.0
+# Share of the variance of a level's systematic error that all partials have in common: vibrations that a hammer begins
+# together begin in phase, so that beats lower all levels.
+_COMMON = 0.5
 # Rounding and remaining leakage without any noise: relative errors, and dB.
 _FREQUENCY_FLOOR = 5e-10
 _DECAY_FLOOR = 1e-6
@@ -79,8 +81,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     bands, fit = fitted.bands, fitted.fit
     clean = _one_exponential(fitted)
     beating, beat_visible = _beating(fitted)
-    # Deeper beats are resolved, or are in the misfit.
-    beat = _at_least_neighbours(_fill_hidden(np.minimum(beating, _DEEP), beat_visible) * np.sqrt(2) / DB)
+    beat = _at_least_neighbours(np.minimum(_fill_hidden(beating, beat_visible) * np.sqrt(2) / DB, 1.0))
     full = fitted.with_errors(slice(None), fit)
     early, middle = fitted.fit_window(0.0, 0.8), fitted.fit_window(*FREQUENCY_WINDOW)
     first = fitted.fit_window(0.0, bands.time[0] + 0.4, LEVEL_RATE / 2, _REACH)
@@ -107,7 +108,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
         slope_times=np.stack([early_slope.start, early_slope.stop, late_slope.stop], axis=1),
         level=level,
         level_error=level_error,
-        level_systematic=_covariance(number, level_sd) + _decay_law_covariance(number, lag, law),
+        level_systematic=_covariance(number, level_sd, _COMMON) + _decay_law_covariance(number, lag, law),
         level_decay_sensitivity_s=lag,
         snr=snr,
         beating=beating,
@@ -117,10 +118,13 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     return table, law
 
 
-def _covariance(number: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Covariance [partials, partials] of systematic errors with standard deviations `sd` [partials]."""
-    distance = np.abs(number[:, None] - number[None, :])
-    return sd[:, None] * sd[None, :] * np.exp(-distance / _CORRELATION_LENGTH)
+def _covariance(number: np.ndarray, sd: np.ndarray, common: float = 0.0) -> np.ndarray:
+    """Covariance [partials, partials] of systematic errors with standard deviations `sd` [partials].
+
+    `common` is the share of the variance that does not depend on the distance of partials.
+    """
+    near = np.exp(-np.abs(number[:, None] - number[None, :]) / _CORRELATION_LENGTH)
+    return sd[:, None] * sd[None, :] * (common + (1 - common) * near)
 
 
 def _decay_law_covariance(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:
@@ -182,13 +186,15 @@ def _levels(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors due to noise and standard deviations of systematic errors, dB, and their lags, s.
 
-    Fast beats are measured by the residual in the first window, slow ones by the envelope of the first 2 s.
+    Fast beats are measured by the residual in the first window, slow ones by the envelope of the first 2 s. Two
+    vibrations of amplitudes 1 and a that begin in phase have the energy 1 + a² instead of (1 + a)².
     """
     level, error, lag = measure_levels(fitted, decay)
     first, power = fits.first, fits.first.fit.power
     residual = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(power, 1e-300)
     fast = _at_least_neighbours(_fill_hidden(np.sqrt(residual), first.noise < _BEAT_VISIBLE**2 * power))
-    sd = DB * np.hypot(_FAST_BEAT_FACTOR * fast, _SLOW_BEAT_FACTOR * fits.beat)
+    a = np.minimum(np.maximum(fast, fits.beat), 1.0)
+    sd = DB * np.log((1 + a) / np.sqrt(1 + a**2))
     return level, np.hypot(error, _LEVEL_FLOOR), sd, lag
 
 
