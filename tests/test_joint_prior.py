@@ -25,7 +25,7 @@ from pianofit.inference.objective import Objective
 from pianofit.instrument import find_fits, load_keys, prior_of_key
 from pianofit.instrument.build import reference_values
 from pianofit.instrument.key_measurements import measurements_of
-from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities, law_compression
+from pianofit.instrument.key_quantities import LAW_QUANTITIES, at_scale, key_quantities, law_compression
 from pianofit.instrument.keyboard_posterior import (
     KeyMeasurements,
     Measurement,
@@ -34,7 +34,7 @@ from pianofit.instrument.keyboard_posterior import (
     joint_laws,
     keyboard_posterior,
 )
-from pianofit.instrument.predicted_key import NAMES, _at_scale
+from pianofit.instrument.predicted_key import NAMES
 from pianofit.instrument.quantity_law import STUDENT, Prior
 from pianofit.key_prior import PRIOR_QUANTITIES, KeyPrior
 from pianofit.model.note import Note
@@ -178,7 +178,7 @@ def test_another_scale_of_the_velocities_is_another_hammer_with_the_same_sound()
                   for n in NAMES])
         for own in (soft, slow)
     ]  # fmt: skip
-    assert _at_scale(scaled[0], 60, s) == pytest.approx(scaled[1], rel=1e-12)
+    assert at_scale(scaled[0], 60, s) == pytest.approx(scaled[1], rel=1e-12)
 
 
 # --- its part of F ----------------------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from ..parameters import Geometry, Parameter
 
 # Fields of `Geometry` by the names of parameters of a fit.
@@ -166,8 +168,11 @@ class Excitation:
         total = sum(float(x or 1) for x in re.findall(pattern, upper))
         return total - sum(float(x or 1) for x in re.findall(pattern, "/".join(lower)))
 
-    def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
-        """Return the base of a felt's power, m, at compression `u`, m, of a felt with these `values`."""
+    def log_power(self, u: Any, values: Mapping[str, Any], xp: Any = np) -> Any:
+        """Return log F - log K = p log g, F the static force at compression `u`, m, of a felt with these `values`.
+
+        `xp` is the array library.
+        """
         raise NotImplementedError
 
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:

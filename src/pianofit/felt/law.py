@@ -16,6 +16,8 @@ from keyword import iskeyword
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ..errors import ParameterError
 from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, STRIKE, VELOCITY_OF_STROKE
 from ..excitation.protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter, Words
@@ -25,6 +27,8 @@ from ..parameters import PARAMETERS, STRING_NAMES, Geometry, Parameter, check
 COMMON_PARAMETERS = ("M_H", "v_H0")
 # Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.
 RESERVED_NAMES = {*STRING_NAMES, *COMMON_PARAMETERS, *GEOMETRY_FIELDS}
+# Imaginary step of a derivative that is exact to rounding.
+IMAGINARY = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +125,10 @@ class FeltLaw(Excitation):
         """Unit, meaning and bounds of the parameters of a hammer."""
         return {**self.parameters, **{name: PARAMETERS[name] for name in COMMON_PARAMETERS}}
 
-    def power_base(self, u: Any, values: Mapping[str, Any]) -> Any:
-        """Return the base of the power, m, at compression `u`, m, of a felt with these `values`."""
-        return u if self.base is None else self.base(u, SimpleNamespace(**values))
+    def log_power(self, u: Any, values: Mapping[str, Any], xp: Any = np) -> Any:
+        """Return log F - log K = p log g, F the static force at compression `u`, m, of a felt with these `values`."""
+        _, exponent = self.power or ("", "")
+        return values[exponent] * xp.log(u if self.base is None else self.base(u, SimpleNamespace(**values)))
 
     def typical(self, preset: Geometry, length: float | None) -> Geometry:
         """Return the sizes of a piano string; one of another length has the mass per metre of the preset."""
@@ -171,3 +176,8 @@ def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[s
     powers = {"s/m": -1, "m": 1}
     scaled |= {n: values[n] * s ** powers[own.unit] for n, own in law.parameters.items() if own.unit in powers}
     return {**values, **scaled}
+
+
+def slope_by_entry(function: Callable[[np.ndarray], Any], at: np.ndarray, i: int) -> np.ndarray:
+    """Derivative of `function` by entry `i` of `at` [..., size]: the imaginary part of one function value."""
+    return np.imag(function(at + 1j * IMAGINARY * np.eye(at.shape[-1])[i])) / IMAGINARY

@@ -55,10 +55,9 @@ def _level(
     logs = dict(zip((*cfg.law.columns, cfg.law.stroke.name), stroke, strict=True))
     values = {name: jnp.exp(log) for name, log in logs.items()}
     if cfg.law.power:  # the entry is the force at the reference compression, unless that is 0
-        stiffness, p = cfg.law.power
-        u = inputs.reference_compression
-        base = jnp.log(cfg.law.power_base(jnp.where(u > 0, u, 1.0), values))
-        values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, values[p] * base, 0.0))
+        stiffness, u = cfg.law.power[0], inputs.reference_compression
+        power = cfg.law.log_power(jnp.where(u > 0, u, 1.0), values, jnp)
+        values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, power, 0.0))
     hammer = cfg.law.make_hammer(values, jnp.zeros_like(values[cfg.law.stroke.name]))
     places = {field: values[name] for name, field in GEOMETRY_FIELDS.items() if name in values}
     geometry = inputs.geometry._replace(**places)

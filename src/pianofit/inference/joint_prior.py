@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..excitation import Excitation
+from ..felt.law import slope_by_entry
 from ..key_prior import INVARIANTS, KeyPrior
-from .parametrisation import Parametrisation, names_of, slope_by_entry
+from .parametrisation import Parametrisation, names_of
 
 # Half the step of log u in the local exponent, d log g/d log u: its error is below 1e-8.
 SLOPE_STEP = 1e-4
@@ -53,12 +54,12 @@ class InvariantMap(NamedTuple):
         values = {name: xp.exp(theta[..., i]) for i, name in enumerate(names_of(law)) if name in law.parameters}
         _, p = law.power or ("", "")
         u, at = self.compression, self.searched_compression
-        searched = xp.where(at > 0, xp.log(law.power_base(xp.where(at > 0, at, u), values)), 0.0)
-        log_base = xp.log(law.power_base(u, values))
-        rise = xp.log(law.power_base(u * np.exp(SLOPE_STEP), values))
-        rise = rise - xp.log(law.power_base(u * np.exp(-SLOPE_STEP), values))
-        ones = xp.ones_like(values[p])
-        return values[p] * (log_base - searched), xp.log(rise / (2 * SLOPE_STEP)) * ones
+        searched, here, below, above = (
+            law.log_power(x, values, xp)
+            for x in (xp.where(at > 0, at, u), u, u * np.exp(-SLOPE_STEP), u * np.exp(SLOPE_STEP))
+        )
+        log_slope = xp.log((above - below) / (2 * SLOPE_STEP * values[p]))
+        return here - xp.where(at > 0, searched, 0.0), log_slope
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ prior stays diagonal, and every method works on the same θ.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -28,6 +27,7 @@ import numpy as np
 
 from ..excitation import GEOMETRY_FIELDS, Excitation
 from ..felt import ALL_PARAMETERS
+from ..felt.law import slope_by_entry
 from ..parameters import STRING_NAMES, Geometry, String
 
 if TYPE_CHECKING:
@@ -36,18 +36,11 @@ if TYPE_CHECKING:
 STRING_SIZE = len(STRING_NAMES)
 # Logarithm of a loss that the felt law does not have: its square is still a number.
 LOG_ABSENT_LOSS = -300.0
-# Imaginary step of a derivative that is exact to rounding.
-IMAGINARY = 1e-30
 
 
 def names_of(law: Excitation) -> tuple[str, ...]:
     """Names of the shared parameters, in order: the string, then felt, hammer mass and contact."""
     return STRING_NAMES + law.columns
-
-
-def slope_by_entry(function: Callable, theta: np.ndarray, i: int) -> np.ndarray:
-    """Derivative of `function` by entry `i` of `theta` [..., size]: the imaginary part of one function value."""
-    return np.imag(function(theta + 1j * IMAGINARY * np.eye(theta.shape[-1])[i])) / IMAGINARY
 
 
 @dataclass(frozen=True)
@@ -158,16 +151,15 @@ class Parametrisation:
         if self.sizes:
             shift -= self.size_changes(theta) @ (self.exponents * ~self.given)
         if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            power = xp.exp(theta[..., p]) * self._log_base(theta)
-            shift += xp.where(np.arange(self.size) == force, power[..., None], 0.0)
+            force, _ = self.force_and_exponent_index
+            shift += xp.where(np.arange(self.size) == force, self._log_power(theta)[..., None], 0.0)
         return shift
 
-    def _log_base(self, theta: Any) -> Any:
-        """log g(u_ref), the logarithm of the base of the felt's power at the reference compression [...]."""
+    def _log_power(self, theta: Any) -> Any:
+        """p log g(u_ref) [...]."""
         xp = theta.__array_namespace__()
         values = {name: xp.exp(theta[..., self.index_of(name)]) for name in self.law.parameters}
-        return xp.log(self.law.power_base(self.reference_compression, values))
+        return self.law.log_power(self.reference_compression, values, xp)
 
     def log_values(self, theta: np.ndarray) -> np.ndarray:
         """`theta` with log K_H in place of the force [..., size]."""
@@ -185,11 +177,8 @@ class Parametrisation:
         """Derivatives of the shift by θ [..., size, size]."""
         out = np.zeros((*theta.shape, self.size))
         if self.force_and_exponent_index:
-            force, p = self.force_and_exponent_index
-            exponent = np.exp(theta[..., p])
-            for i in map(self.index_of, self.law.parameters) if self.law.base else ():
-                out[..., force, i] = slope_by_entry(lambda at: exponent * self._log_base(at), theta, i)
-            out[..., force, p] += exponent * self._log_base(theta)
+            for i in map(self.index_of, self.law.parameters):
+                out[..., self.force_and_exponent_index[0], i] = slope_by_entry(self._log_power, theta, i)
         out[..., self.velocities.stop :] = -(self.exponents * ~self.given).T
         return out
 

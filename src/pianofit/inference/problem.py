@@ -318,8 +318,7 @@ def prior_parametrisation(
     lower, upper = _bounds(start, names, len(measured), len(sizes))
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
     if law.power is not None and u_ref is not None:  # the force is searched
-        stiffness, exponent = law.power
-        mean[names.index(stiffness)] += values[exponent] * np.log(law.power_base(u_ref, values))
+        mean[names.index(law.power[0])] += law.log_power(u_ref, values)
     # A fitted width is an effective one, with the given width only as the centre of its prior.
     given = [_is_exact(start, n) or (n == "width" and _is_fixed(start, n) and start.unknown_path) for n in names]
     given = np.array([*given, *(v is not None for v in measured)])

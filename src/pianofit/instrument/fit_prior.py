@@ -8,14 +8,12 @@ over its posterior without its prior. A prior `WIDER` times as wide takes its pl
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ..excitation import OTHERS
 from ..felt import LAWS
-from ..felt.law import FeltLaw
 from ..felt.published import HAMMER_SD
 from ..parameters import Geometry
 from ..schema.fit import Fit, Minimum
@@ -60,12 +58,11 @@ def prior_of(fit: Fit, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
         # A fit searches the force at the reference compression, and not the stiffness.
         u, stiffness = fit.derived.reference_compression_mm * 1e-3, list(found).index(law.power[0])
         at, start = dict(minimum.parameters), {**minimum.parameters, **initial}
-        term = _force_term(law, u, at)
+        term = law.log_power(u, at)
         for name in {*law.parameters} & {*names}:
-            rows[stiffness, names.index(name)] += (
-                _force_term(law, u, at | {name: at[name] * math.exp(STEP)}) - term
-            ) / STEP
-        away[stiffness] += term - _force_term(law, u, start)
+            changed = law.log_power(u, at | {name: at[name] * math.exp(STEP)})
+            rows[stiffness, names.index(name)] += (changed - term) / STEP
+        away[stiffness] += term - law.log_power(u, start)
     sd = np.array(list(found.values()))
     return FitPrior(rows / sd[:, None], away / sd)
 
@@ -78,12 +75,6 @@ def _pluck_spreads(fit: Fit) -> dict[str, float]:
     length, mass, position, width = (at[name].value for name in ("L", "M_S", "x0", "width"))
     place = Geometry(length, mass, position, width, 0.5 * length)
     return {**law.spreads, law.stroke.name: law.stroke.prior(place)[1]}
-
-
-def _force_term(law: FeltLaw, u: float, at: Mapping[str, float]) -> float:
-    """Return log F(u) - log K_H = p log g(u)."""
-    _, exponent = law.power or ("", "")
-    return at[exponent] * math.log(law.power_base(u, at))
 
 
 def remove_prior(prior: FitPrior, covariance: np.ndarray) -> Removal:

@@ -17,7 +17,7 @@ from ..conversions import CENTS
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS, SoftHammer, law_of
-from ..felt.law import scale_velocity
+from ..felt.law import scale_velocity, slope_by_entry
 from ..felt.soft_skin import SOFT_SKIN
 from ..key_prior import INVARIANTS, KeyPrior
 from ..model.note import Note
@@ -28,6 +28,7 @@ from .fit_prior import FitPrior, prior_of, remove_prior
 from .key_quantities import (
     LAW_QUANTITIES,
     LOUDEST_VELOCITY,
+    at_scale,
     key_quantities,
     law_compression,
     law_quantities,
@@ -190,24 +191,17 @@ def _felt_exponents(note: Note, midi: int, scale: float) -> dict[str, dict[str, 
     hammer, u = soft_hammer(note.hammer), law_compression(midi)
     p, skin = float(hammer.p), float(hammer.skin)
     share = skin_share(u, skin)
-    log_base = math.log(SOFT_SKIN.power_base(u, {"skin": skin}))
+    power = float(SOFT_SKIN.log_power(u, {"p": p, "skin": skin}))
     return {
         # F = K s^(1-p) g^p, with the base g = u²/(u + skin)
-        "F/M_S": {"K_H": 1.0, "p": p * (log_base - math.log(scale)), "skin": -p * share},
+        "F/M_S": {"K_H": 1.0, "p": power - p * math.log(scale), "skin": -p * share},
         "local_exponent": {"p": 1.0, "skin": share * (1 - share) / (1 + share)},
     }
 
 
 def _scale_direction(note: Note, midi: int, level: float) -> np.ndarray:
     """Change of the quantities with the logarithm of the scale of the velocities [quantities]."""
-    hammer = soft_hammer(note.hammer)
-    p, share = float(hammer.p), skin_share(law_compression(midi), hammer.skin)
     slope = (level - stroke_level(note, LOUDEST_VELOCITY * math.exp(-LEVEL_STEP))) / LEVEL_STEP
-    change = {
-        "F/M_S": 1 - p - p * share,
-        "local_exponent": share * (1 - share) / (1 + share),
-        "mu": -1.0,
-        "skin": 1.0,
-        "level": -slope,
-    }
-    return np.array([change.get(name, 0.0) for name in LAW_QUANTITIES])
+    own = _scaled(note, midi, level)
+    change = slope_by_entry(lambda log: at_scale(own, midi, np.exp(log[0])), np.zeros(1), 0)
+    return change - slope * np.array([name == "level" for name in LAW_QUANTITIES])

@@ -147,6 +147,21 @@ def _hammer_quantities(note: Note, midi: int) -> dict[str, float]:
     }
 
 
+def at_scale(quantities: np.ndarray, midi: int, scale: Any) -> np.ndarray:
+    """Return the `LAW_QUANTITIES` of a struck key if all velocities are multiplied by `scale`.
+
+    The sound stays the same. Quantities are on the scales of their laws. The level is that of the same stroke.
+    """
+    at, u = dict(zip(LAW_QUANTITIES, quantities, strict=True)), law_compression(midi)
+    skin = np.exp(at["skin"])
+    p = np.exp(at["local_exponent"]) / (1 + skin_share(u, skin))
+    # F = K scale^(1-p) (u²/(u + scale skin))^p
+    at["F/M_S"] = at["F/M_S"] + (1 - p) * np.log(scale) + p * np.log((u + skin) / (u + scale * skin))
+    at["local_exponent"] = np.log(p * (1 + skin_share(u, scale * skin)))
+    at["mu"], at["skin"] = at["mu"] - np.log(scale), at["skin"] + np.log(scale)
+    return np.array([*at.values()])
+
+
 def note_from_quantities(at: dict[str, float], midi: int, quantity: str, law: Excitation) -> Note:
     """Return the note with these `law_quantities`, clipped to their ranges, with a strong stroke and a gain of 1."""
     hertz = hertz_of(midi + at["cents"] / 100)
@@ -172,7 +187,7 @@ def _hammer(at: dict[str, float], midi: int, mass: float) -> SoftHammer:
     u = law_compression(midi)
     p = at["local_exponent"] / (1 + skin_share(u, at["skin"]))
     values = {
-        "K_H": at["F/M_S"] * mass / SOFT_SKIN.power_base(u, at) ** p,
+        "K_H": at["F/M_S"] * mass * math.exp(-SOFT_SKIN.log_power(u, at | {"p": p})),
         "skin": at["skin"],
         "mu": at["mu"],
         "p": p,

@@ -19,15 +19,14 @@ from ..analysis.note_names import midi_to_note
 from ..conversions import CENTS, hertz_of
 from ..errors import ParameterError
 from ..felt import FeltLaw
+from ..felt.law import slope_by_entry
 from ..key_prior import PRIOR_QUANTITIES, KeyPrior
 from .build import reference_values
 from .collect_fits import KeyFit
-from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, law_compression, skin_share
+from .key_quantities import LAW_QUANTITIES, LOUDEST_VELOCITY, at_scale, law_compression
 from .keyboard_posterior import VELOCITY_SCALE_SD, joint_laws
 
 NAMES = tuple(LAW_QUANTITIES)
-# Imaginary step of a derivative that is exact to rounding.
-IMAGINARY = 1e-30
 
 
 def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
@@ -75,21 +74,9 @@ def prior_of_key(keys: Sequence[KeyFit], midi: int) -> KeyPrior:
 
 def _with_scale(mean: np.ndarray, covariance: np.ndarray, midi: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """A prediction if all velocities are multiplied by `scale`."""
-    steps = 1j * IMAGINARY * np.eye(len(mean))
-    jacobian = np.imag([_at_scale(mean + step, midi, scale) for step in steps]).T / IMAGINARY
-    return _at_scale(mean, midi, scale), jacobian @ covariance @ jacobian.T
-
-
-def _at_scale(mean: np.ndarray, midi: int, scale: float) -> np.ndarray:
-    """Quantities on the scales of their laws if all velocities are multiplied by `scale`; the sound stays the same."""
-    at, u = dict(zip(NAMES, mean, strict=True)), law_compression(midi)
-    skin = np.exp(at["skin"])
-    p = np.exp(at["local_exponent"]) / (1 + skin_share(u, skin))
-    # F = K scale^(1-p) (u²/(u + scale skin))^p
-    at["F/M_S"] = at["F/M_S"] + (1 - p) * math.log(scale) + p * np.log((u + skin) / (u + scale * skin))
-    at["local_exponent"] = np.log(p * (1 + skin_share(u, scale * skin)))
-    at["mu"], at["skin"] = at["mu"] - math.log(scale), at["skin"] + math.log(scale)
-    return np.array([at[name] for name in NAMES])
+    slopes = [slope_by_entry(lambda at: at_scale(at, midi, scale), mean, i) for i in range(len(mean))]
+    jacobian = np.transpose(slopes)
+    return at_scale(mean, midi, scale), jacobian @ covariance @ jacobian.T
 
 
 def _record(mean: np.ndarray, covariance: np.ndarray, midi: int, velocity: float) -> KeyPrior:

@@ -117,8 +117,8 @@ def draws_of(fit: InferenceResult, record: Fit) -> Draws | None:
         # At the reference velocity shown, if a common scale of the velocities is unknown.
         scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
         felt = scale_velocity({name: drawn(name) for name in u.law.parameters}, u.law, scale)
-        stiffness, p = (felt[u.names[i]] for i in u.force_and_exponent_index or ())
-        table["F/M_S"] = stiffness * u.law.power_base(u.reference_compression, felt) ** p / mass
+        stiffness = felt[(u.law.power or ("",))[0]]
+        table["F/M_S"] = stiffness * np.exp(u.law.log_power(u.reference_compression, felt)) / mass
     varying = {name: table[name] for name in record.invariants if name in table and np.ptp(table[name]) > 0}
     return Draws({**draws, **varying}, view.log_likelihood, view.observed)
 

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS
+from ..felt.law import slope_by_entry
 from ..inference import Posterior
 from ..schema.fit import Fit, Minimum
 from ..sobol import sobol_points
@@ -126,15 +127,15 @@ def _gaussian(fit: Fit, law: Excitation, minimum: Minimum, standard: np.ndarray)
     power = [names.index(name) for name in law.power or ()]
     if not power or not covariance.matrix[power[0], power[0]] > 0:  # a given K_H is fixed
         return mean + standard @ _root(covariance.matrix).T
-    stiffness, exponent = power
+    stiffness = power[0]
 
     def over_stiffness(log: np.ndarray) -> np.ndarray:
         """log F(u_ref) - log K_H from logarithms [..., names]."""
         values = {name: np.exp(log[..., names.index(name)]) for name in law.parameters if name in names}
-        return np.exp(log[..., exponent]) * np.log(law.power_base(1e-3 * fit.derived.reference_compression_mm, values))
+        return law.log_power(1e-3 * fit.derived.reference_compression_mm, values)
 
-    to_search = np.eye(len(names))  # d log F = d log K_H + its derivatives by the other parameters, by a complex step
-    to_search[stiffness] += np.imag(over_stiffness(mean + 1e-30j * np.eye(len(names)))) / 1e-30
+    to_search = np.eye(len(names))  # d log F = d log K_H + its derivatives by the other parameters
+    to_search[stiffness] += [slope_by_entry(over_stiffness, mean, i) for i in range(len(names))]
     log = mean + standard @ _root(to_search @ covariance.matrix @ to_search.T).T
     log[:, stiffness] -= over_stiffness(log) - over_stiffness(mean)
     return log
