@@ -69,7 +69,7 @@ def own_error(result: Result, sounds: Sequence[Analysis], fitted: int, other: in
 
     number, change = level_change(sounds[fitted], sounds[other])
     velocities = np.array([result.fit.recordings[i].stroke_value for i in (fitted, other)])
-    levels = result.note.levels_and_knock(velocities, int(number.max()))[0][:, number - 1]
+    levels = result.note.levels_of_strokes(velocities, int(number.max()))[0][:, number - 1]
     return level_error_db(levels[1] - levels[0], change)
 
 

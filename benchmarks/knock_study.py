@@ -35,7 +35,9 @@ def follows(note: str, files: list[Path], setup: Setup) -> np.ndarray:
     gains, rows = result.fit.relative_gains(0), []
     for recording, analysis, own, gain in zip(recordings, analyses, result.minima_notes[0], gains, strict=True):
         level, _ = measure_knock(recording, analysis.f0)
-        rows.append((float(own.hammer.v_H0), level - gain, float(own._replace(gain=1.0).levels_and_knock()[1])))
+        rows.append(
+            (float(own.hammer.v_H0), level - gain, float(own._replace(gain=1.0).levels_of_strokes(own.stroke_value)[1]))
+        )
     found = np.array(sorted(rows))
     return found[np.isfinite(found).all(axis=1)]
 

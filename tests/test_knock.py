@@ -43,7 +43,7 @@ def test_the_model_computes_what_a_recording_of_it_holds(midi, velocity):
     """A rendered waveform against the force's spectrum times the share that a string passes on, in absolute units."""
     note = note_of(midi)
     level, error = measure_knock(recording(midi, velocity), float(note.f0))
-    assert level == pytest.approx(float(note.levels_and_knock(velocity)[1]), abs=1.0)
+    assert level == pytest.approx(float(note.levels_of_strokes(velocity)[1]), abs=1.0)
     assert error < 0.3
 
 
@@ -51,7 +51,7 @@ def test_differences_between_velocities_are_those_of_the_force():
     note = note_of(93)
     velocities = np.array([0.7, 1.5, 4.0])
     measured = [measure_knock(recording(93, v), float(note.f0))[0] for v in velocities]
-    np.testing.assert_allclose(np.diff(measured), np.diff(note.levels_and_knock(velocities)[1]), atol=0.15)
+    np.testing.assert_allclose(np.diff(measured), np.diff(note.levels_of_strokes(velocities)[1]), atol=0.15)
 
 
 def test_a_knock_follows_gain_and_not_silence_or_rate():
@@ -134,7 +134,7 @@ def levelled():
 
 
 def test_a_fit_computes_the_knock_that_the_note_has(levelled):
-    """The batched model against `Note.levels_and_knock`, whose contact is another program."""
+    """The batched model against `Note.levels_of_strokes`, whose contact is another program."""
     sounds, analyses = levelled
     problem = build_problem(sounds, analyses, pianofit.Setup())
     theta = problem.parametrisation.mean
@@ -142,7 +142,7 @@ def test_a_fit_computes_the_knock_that_the_note_has(levelled):
     u = problem.parametrisation
     for stroke, own in enumerate(level):
         note = pianofit.Note(u.string(theta), u.hammer(theta, stroke), u.geometry_at(theta), "pressure", 1.0)
-        assert own[-1] == pytest.approx(float(note.levels_and_knock()[1]), abs=0.3)
+        assert own[-1] == pytest.approx(float(note.levels_of_strokes(note.stroke_value)[1]), abs=0.3)
 
 
 def test_velocities_of_levelled_layers_are_those_of_their_knocks(levelled):
@@ -160,7 +160,7 @@ def test_a_prediction_uses_the_knock():
     note = note._replace(path=OutputPath(frequency, np.zeros(4)))
     away = {False: [], True: []}
     for seed, velocity in enumerate((0.8, 1.3, 2.0, 3.2)):
-        level, knock = note.levels_and_knock(velocity, 3)
+        level, knock = note.levels_of_strokes(velocity, 3)
         level = level + np.random.default_rng(seed).normal(0, 1.5, 3)
         for used in away:
             own = analysis(number, level, f0=f0)

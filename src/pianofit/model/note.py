@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import deferred
-from ..dsp.knock_band import centre, nodes
+from ..dsp.knock_band import centre
 from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
@@ -20,14 +20,13 @@ from ..io.number_format import summary
 from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
-from .differentiable_sums import z_transform
-from .excite import excite
-from .free_response import level_db, modal_amplitudes
-from .knock_force import knock_level
+from .excite import signal_state
+from .free_response import MAX_EXPONENT, level_db
+from .knock_force import add_probes, knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table, raised_cosine_weights
 from .output_path import OutputPath, apply_filter, impulse_response, sample_at_modes
-from .simulate import MAX_MODES, Simulation, contact_rate, count_modes, simulate
+from .simulate import MAX_MODES, MAX_STEPS, Simulation, contact_rate, count_modes, simulate
 
 MAX_SECONDS = 600.0
 # More samples would not fit into the memory of an ordinary machine.
@@ -39,10 +38,6 @@ LARGEST_CHANGE = 10.0
 TINY = 1e-9
 # Signal rate for which `Note.levels` chooses the contact rate, Hz.
 LEVEL_RATE = 44_100.0
-# All velocities get the steps of the slowest contact (at most this velocity, m/s) times a factor, in whole blocks.
-SLOWEST_LEVEL_VELOCITY = 0.05
-STEPS_MARGIN = 1.3
-BLOCK = 256
 
 
 class Note(NamedTuple):
@@ -268,17 +263,14 @@ class Note(NamedTuple):
         ParameterError
             For a velocity or a count that is not above 0.
         """
-        return self.levels_and_knock(velocity, count)[0]
-
-    def levels_and_knock(
-        self, velocity: float | np.ndarray | None = None, count: int = 32
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Levels as by `levels` [..., partials], and the level of the knock, dB in file units [...]."""
         self._check_struck(velocity)
-        return self.levels_of_strokes(self.stroke_value if velocity is None else velocity, count)
+        return self.levels_of_strokes(self.stroke_value if velocity is None else velocity, count)[0]
 
     def levels_of_strokes(self, value: float | np.ndarray, count: int = 32) -> tuple[np.ndarray, np.ndarray]:
-        """Levels and knock as by `levels_and_knock`, of strokes with these values of their parameter [...]."""
+        """Levels of partials as by `levels` [..., partials], and the level of the knock, dB in file units [...].
+
+        The strokes have these values of their parameter [...].
+        """
         if not is_numeric(value):
             check_type("velocity=", value, (), "a number or an array of numbers, m/s")
         g, v, law = self.geometry, np.asarray(value, float), law_of(self.hammer)
@@ -288,18 +280,10 @@ class Note(NamedTuple):
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
         plain = self._replace(gain=1.0, path=None, modal_response=None)
-        level, knock = _levels(plain, v.ravel(), rate, rows, self._level_steps(float(v.min()), rate))
+        level = np.asarray(_levels(plain, v.ravel(), rate, rows))[:, [*range(count), -1]]
         frequency = np.append(self.frequencies(count), centre(float(self.f0)))
-        path = np.zeros(count + 1) if self.path is None else self.path.at(frequency)
-        level = np.column_stack([np.asarray(level)[:, :count], knock]) + 20 * np.log10(np.abs(self.gain)) + path
+        level = level + 20 * np.log10(np.abs(self.gain)) + (0.0 if self.path is None else self.path.at(frequency))
         return level[:, :count].reshape(*v.shape, count), level[:, count].reshape(v.shape)
-
-    def _level_steps(self, slowest: float, rate: float) -> int:
-        """Steps of the contact for all strokes down to the `slowest` velocity, m/s; one block without contact."""
-        if not law_of(self.hammer).has_contact:
-            return BLOCK
-        slow = self.with_stroke(min(SLOWEST_LEVEL_VELOCITY, slowest)).strike(LEVEL_RATE)
-        return BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
 
 
 jax.tree_util.register_pytree_node(
@@ -310,21 +294,20 @@ jax.tree_util.register_pytree_node(
 
 
 @float64
-@partial(jax.jit, static_argnums=(3, 4))
-def _levels(note, values, rate, rows, steps):
-    """Levels of all modes [strokes, modes], dB in the unit of the pickup, and of the knock [strokes], dB."""
-    zeta = -2j * jnp.pi * note.f0 * nodes() / rate
+@partial(jax.jit, static_argnums=3)
+def _levels(note, values, rate, rows):
+    """Levels of all modes, dB in the unit of the pickup, and of the knock, dB [strokes, modes + 1]."""
 
     def level_at(value):
         own = note.with_stroke(value)
         modes = mode_table(own.string, own.geometry, rate=rate, n_modes=rows, quantity=own.quantity)
-        pulse, free = excite(modes, own.hammer, law_of(own.hammer), steps=steps, free=None)
-        delay = arrival(own.string, own.geometry, own.quantity, jnp)
-        amplitude = modal_amplitudes(modes, pulse.drive, free) * jnp.exp(modes.pole.real * delay)
-        force = jnp.abs(z_transform(pulse.force, zeta)) / rate
-        knock = knock_level(force, note.f0, own.geometry.strike_position / own.geometry.length)
-        over = pulse.compression[-1] <= 0
-        return jnp.where(over, level_db(amplitude, -modes.pole.real), jnp.inf), jnp.where(over, knock, jnp.inf)
+        state = signal_state(add_probes(modes, own.f0), own.hammer, law_of(own.hammer), steps=MAX_STEPS)
+        decay = -modes.pole.real
+        # Amplitudes after the contact, extrapolated back to the arrival.
+        since = state.time - arrival(own.string, own.geometry, own.quantity, jnp)
+        level = level_db(state.amplitude[:rows] * jnp.exp(jnp.minimum(decay * since, MAX_EXPONENT)), decay)
+        knock = knock_level(jnp.abs(state.amplitude[rows:]), own.f0, own.geometry.strike_position / own.geometry.length)
+        return jnp.where(state.ended, jnp.append(level, knock), jnp.inf)
 
     return jax.vmap(level_at)(values)
 

@@ -23,14 +23,14 @@ from ..inference.observation_tables import pitch_above
 from ..inference.priors import KNOCK_SD, LEVEL, log_gain
 from ..io.files import printable, short_repr
 from ..io.number_format import counted
-from ..model.note import SLOWEST_LEVEL_VELOCITY, Note
+from ..model.note import Note
 from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
 from ..threads import one_blas_thread
 from .comparison import audible_partials
 
-# Velocities are searched from `SLOWEST` to this, m/s,
-FASTEST = 12.0
+# Velocities are searched within this range, m/s,
+SLOWEST, FASTEST = 0.05, 12.0
 # on a grid of this size, 1.4 % apart, before the best is refined. A force that lasts several periods of a partial has a
 # spectrum of lobes, so treble levels rise and fall dozens of times over the range.
 GRID_SIZE = 384
@@ -234,7 +234,7 @@ def scanned_values(note: Note) -> np.ndarray:
     """Values of the stroke's parameter that a prediction compares, ascending."""
     law = law_of(note.hammer)
     if law.has_contact:
-        return np.geomspace(SLOWEST_LEVEL_VELOCITY, FASTEST, GRID_SIZE)
+        return np.geomspace(SLOWEST, FASTEST, GRID_SIZE)
     low, high = law.stroke.bounds(note.geometry)
     return np.linspace(low, high, GRID_SIZE)
 
