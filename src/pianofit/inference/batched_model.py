@@ -20,12 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..conversions import CENTS, DB
-from ..dsp.level import LEVEL_RATE, LEVEL_SECONDS
 from ..excitation import GEOMETRY_FIELDS
-from ..model.excite import signal_state
-from ..model.knock_force import add_probes, knock_level
-from ..model.modes import mode_table
-from ..model.note import arrival
+from ..model.note import Note, stroke_levels
 from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_MODES
 from ..parameters import String
@@ -60,22 +56,8 @@ def _level(
         values[stiffness] = jnp.exp(logs[stiffness] - jnp.where(u > 0, power, 0.0))
     hammer = cfg.law.make_hammer(values, jnp.zeros_like(values[cfg.law.stroke.name]))
     places = {field: values[name] for name, field in GEOMETRY_FIELDS.items() if name in values}
-    geometry = inputs.geometry._replace(**places)
-    modes = mode_table(string, geometry, rate=inputs.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
-    f0 = string.c / (2 * geometry.length)
-    modes = add_probes(modes, f0) if cfg.knock else modes
-    state = signal_state(modes, hammer, cfg.law, steps=inputs.steps)
-    # Amplitudes after the contact, extrapolated back to the arrival.
-    alpha = -modes.pole.real[: cfg.rows]
-    amplitude = state.amplitude[: cfg.rows]
-    size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
-    size = size + alpha * (state.time - arrival(string, geometry, cfg.quantity, jnp))
-    rate = 2 * (alpha + LEVEL_RATE / 2)
-    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SECONDS) / rate))
-    if cfg.knock:
-        force = jnp.abs(state.amplitude[cfg.n_modes :])
-        level = jnp.append(level, knock_level(force, f0, geometry.strike_position / geometry.length))
-    return level, state.ended
+    note = Note(string, hammer, inputs.geometry._replace(**places), cfg.quantity, 1.0)
+    return stroke_levels(note, inputs.rate, cfg.n_modes, cfg.rows, inputs.steps, cfg.knock)
 
 
 @persistent_jit

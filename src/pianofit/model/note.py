@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import deferred
+from ..conversions import DB
 from ..dsp.knock_band import centre
+from ..dsp.level import level_energy
 from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
@@ -21,7 +23,7 @@ from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
 from .excite import signal_state
-from .free_response import MAX_EXPONENT, level_db
+from .free_response import MAX_EXPONENT
 from .knock_force import add_probes, knock_level
 from .modal_response import PRE_ONSET_S, ModalResponse, force_pulse
 from .modes import mode_frequencies, mode_table, raised_cosine_weights
@@ -299,17 +301,30 @@ def _levels(note, values, rate, rows):
     """Levels of all modes, dB in the unit of the pickup, and of the knock, dB [strokes, modes + 1]."""
 
     def level_at(value):
-        own = note.with_stroke(value)
-        modes = mode_table(own.string, own.geometry, rate=rate, n_modes=rows, quantity=own.quantity)
-        state = signal_state(add_probes(modes, own.f0), own.hammer, law_of(own.hammer), steps=MAX_STEPS)
-        decay = -modes.pole.real
-        # Amplitudes after the contact, extrapolated back to the arrival.
-        since = state.time - arrival(own.string, own.geometry, own.quantity, jnp)
-        level = level_db(state.amplitude[:rows] * jnp.exp(jnp.minimum(decay * since, MAX_EXPONENT)), decay)
-        knock = knock_level(jnp.abs(state.amplitude[rows:]), own.f0, own.geometry.strike_position / own.geometry.length)
-        return jnp.where(state.ended, jnp.append(level, knock), jnp.inf)
+        level, ended = stroke_levels(note.with_stroke(value), rate, rows, rows, MAX_STEPS)
+        return jnp.where(ended, level, jnp.inf)
 
     return jax.vmap(level_at)(values)
+
+
+def stroke_levels(note: Note, rate, n_modes: int, rows: int, steps, knock: bool = True):
+    """Levels of partials, dB in the unit of the pickup, from the arrival of the wave on, and whether contact ended.
+
+    With `knock` its level is the last, dB [rows + 1]. The string was at rest. Gain and path are left out.
+    """
+    string, geometry, quantity = note.string, note.geometry, note.quantity
+    modes = mode_table(string, geometry, rate=rate, n_modes=n_modes, quantity=quantity)
+    probed = add_probes(modes, note.f0) if knock else modes
+    state = signal_state(probed, note.hammer, law_of(note.hammer), steps=steps)
+    alpha, amplitude = -modes.pole.real[:rows], state.amplitude[:rows]
+    size = 0.5 * jnp.log(jnp.maximum(amplitude.real**2 + amplitude.imag**2, np.finfo(float).tiny))
+    # Amplitudes after the contact, extrapolated back to the arrival.
+    grown = jnp.minimum(alpha * (state.time - arrival(string, geometry, quantity, jnp)), MAX_EXPONENT)
+    level = DB * (size + grown + 0.5 * jnp.log(0.5 * level_energy(2 * alpha, jnp)))
+    if knock:
+        strike = geometry.strike_position / geometry.length
+        level = jnp.append(level, knock_level(jnp.abs(state.amplitude[n_modes:]), note.f0, strike))
+    return level, state.ended
 
 
 def arrival(string: String, geometry: Geometry, quantity: str, xp: Any = np) -> Any:
