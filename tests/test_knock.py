@@ -134,7 +134,7 @@ def levelled():
 
 
 def test_a_fit_computes_the_knock_that_the_note_has(levelled):
-    """The batched model against `Note.levels_of_strokes`, whose contact is another program."""
+    """The batched model against `Note.levels_of_strokes`, whose contact has shorter steps."""
     sounds, analyses = levelled
     problem = build_problem(sounds, analyses, pianofit.Setup())
     theta = problem.parametrisation.mean

@@ -43,7 +43,7 @@ USES = {
     "model": "deferred dsp excitation felt io parameters transducer x64",
     "setup": "excitation felt io key_prior parameters transducer",
     "schema": "excitation felt io key_prior model parameters transducer",
-    "inference": "analysis dsp excitation felt io key_prior literature model parameters progress recording setup sobol"
+    "inference": "analysis excitation felt io key_prior literature model parameters progress recording setup sobol"
     " threads transducer x64",
     "synthetic": "felt io literature model parameters recording setup transducer",
     "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress"

@@ -47,7 +47,7 @@ def _quietest_second(frames: np.ndarray, rate: int) -> np.ndarray:
 
 def _density(power: np.ndarray, step: float) -> np.ndarray:
     """Density at `FREQUENCIES` of one channel from the power at multiples of `step`, Hz [bins]."""
-    width = max(round(MEDIAN_WIDTH / step), 1)
-    padded = np.pad(power[1:], (width // 2, width - 1 - width // 2), mode="symmetric")  # without the offset
-    smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+    from scipy.ndimage import median_filter
+
+    smooth = median_filter(power[1:], max(round(MEDIAN_WIDTH / step), 1))  # without the offset
     return np.interp(FREQUENCIES, step * np.arange(1, len(power)), smooth, right=0.0)

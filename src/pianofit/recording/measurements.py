@@ -49,15 +49,15 @@ def _quiet_floor(x: np.ndarray, rate: int) -> float:
     Partials are narrow, so a running median over 100 Hz of the spectrum ignores them. The median of the exponential
     distribution of a noise spectrum is ln 2 of its mean.
     """
+    from scipy.ndimage import median_filter
+
     length = min(len(x), rate)
     starts = {*range(0, len(x) - length, length // 2), len(x) - length}
     frames = [f for s in sorted(starts) if np.ptp(f := x[s : s + length]) > 0]
     quietest = min(frames, key=lambda f: float(np.var(f)))
     window = np.hanning(length)
     power = np.abs(np.fft.rfft(quietest * window)) ** 2 / (window @ window)
-    width = max(round(100 * length / rate), 11)
-    padded = np.pad(power, (width // 2, width - 1 - width // 2), mode="symmetric")
-    smooth = np.partition(np.lib.stride_tricks.sliding_window_view(padded, width), width // 2, axis=1)[:, width // 2]
+    smooth = median_filter(power, max(round(100 * length / rate), 11))
     return math.sqrt(float(smooth.mean()) / math.log(2))
 
 
