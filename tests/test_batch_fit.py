@@ -235,5 +235,5 @@ def test_options_and_setup_make_one_setup(tmp_path):
     with pytest.raises(SetupError, match=r"stulov.* contradicts .*power"):
         _settings(file, assumed, "average", 0, False, False)
     file.write_text("[felt]\n")
-    with pytest.raises(SetupError, match='add law = "power" there'):
-        _settings(file, assumed, "average", 0, False, False)
+    whole = Setup.from_dict(tomllib.loads(_settings(file, assumed, "average", 0, False, False).setup))
+    assert (whole.felt, whole.excitation, whole.pickup_quantity) == assumed

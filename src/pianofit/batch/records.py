@@ -25,7 +25,7 @@ import msgspec
 
 from ..analysis.note_names import note_to_midi
 from ..errors import OutputError
-from ..io.files import DISK_FULL, printable, replace_file
+from ..io.files import locked, printable, replace_file, write_error
 from ..io.number_format import counted
 from ..schema.decode import encode_json
 from .job import Job, Settings, Source, UnusedFile
@@ -89,15 +89,13 @@ class Store:
         name = printable(self.folder)
         if self.folder.exists() and not self.folder.is_dir():
             raise OutputError(f"{name}: is a file; give a folder as --out")
-        try:
+        with self._writing():
             if self.folder.is_dir() and any(self.folder.iterdir()) and not self._holds_batch():
                 raise OutputError(f"{name}: the folder is not empty and holds no batch; give another --out")
             for place in (self.keys, self.ledger):
                 place.mkdir(parents=True, exist_ok=True)
                 if not os.access(place, os.W_OK | os.X_OK):
                     raise PermissionError(errno.EACCES, "read-only, or owned by another user")
-        except OSError as error:
-            raise self._write_error(error) from error
 
     def _holds_batch(self) -> bool:
         return self.keys.is_dir() or self.ledger.is_dir()
@@ -106,26 +104,16 @@ class Store:
     def locked(self) -> Iterator[None]:
         """Lock the folder for one batch, and remove unfinished files of an interrupted run.
 
-        The lock is an SQLite lock on an empty file. The system releases it with the process.
-
         Raises `OutputError` if another batch holds the lock.
         """
         self.ledger.mkdir(exist_ok=True)
-        try:
-            with contextlib.closing(sqlite3.connect(self._lock, isolation_level=None, timeout=1.0)) as connection:
-                connection.execute("BEGIN EXCLUSIVE")
-                for partial in (self.scratch, self._unfinished):
-                    shutil.rmtree(partial, ignore_errors=True)
-                for file in self.ledger.glob(".*.tmp"):
-                    file.unlink(missing_ok=True)
-                yield
-        except sqlite3.OperationalError as error:
-            if "locked" not in str(error):
-                raise self._write_error(error) from error
-            other = f"{printable(self.folder)}: another batch is running in this folder"
-            raise OutputError(f"{other}; wait for it, or give another --out") from None
-        except sqlite3.DatabaseError as error:
-            raise OutputError(f"{printable(self._lock)}: is not the lock of a batch ({error}); remove it") from None
+        other = f"{printable(self.folder)}: another batch is running in this folder"
+        with locked(self._lock, f"{other}; wait for it, or give another --out"):
+            for partial in (self.scratch, self._unfinished):
+                shutil.rmtree(partial, ignore_errors=True)
+            for file in self.ledger.glob(".*.tmp"):
+                file.unlink(missing_ok=True)
+            yield
 
     def is_locked(self) -> bool:
         """True if a batch is running in the folder."""
@@ -146,20 +134,19 @@ class Store:
         record = replace(entry, state="done", files=digests, finished=round(time.time(), 3))
         new, old, folder = self._unfinished / "new", self._unfinished / "old", self.keys / entry.key
         try:
-            new.mkdir(parents=True)
-            for name, content in {**files, RECORD: encode_json(record)}.items():
-                with (new / name).open("xb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-            _flush(new)
-            with contextlib.suppress(FileNotFoundError):
-                folder.rename(old)
-            new.rename(folder)
-            _flush(self.keys)
+            with self._writing():
+                new.mkdir(parents=True)
+                for name, content in {**files, RECORD: encode_json(record)}.items():
+                    with (new / name).open("xb") as file:
+                        file.write(content)
+                        file.flush()
+                        os.fsync(file.fileno())
+                _flush(new)
+                with contextlib.suppress(FileNotFoundError):
+                    folder.rename(old)
+                new.rename(folder)
+                _flush(self.keys)
             return record
-        except OSError as error:
-            raise self._write_error(error) from error
         finally:
             shutil.rmtree(self._unfinished, ignore_errors=True)
 
@@ -206,23 +193,19 @@ class Store:
         Raises `OutputError` if the disk is full or the folder cannot be written to.
         """
         file = self.ledger / f"{entry.key}.json"
-        try:
+        with self._writing():
             if entry.state == "done":
                 file.unlink(missing_ok=True)
             else:
                 replace_file(file, encode_json(entry))
-        except (OSError, OutputError) as error:
-            reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
-            raise self._write_error(reason) from error
 
-    def _write_error(self, error: Exception) -> OutputError:
-        """Error for a folder that cannot be written to."""
-        name = printable(self.folder)
-        if (isinstance(error, sqlite3.Error) and "full" in str(error)) or getattr(error, "errno", None) in DISK_FULL:
-            return OutputError(f"{name}: the disk is full; finished keys are kept: make room and run the same command")
-        reason = getattr(error, "strerror", None) or error
-        hint = "choose another folder, then run the command again"
-        return OutputError(f"{name}: cannot be written to ({reason}); {hint}")
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise an `OutputError` that names the folder if it cannot be written to."""
+        try:
+            yield
+        except OSError as error:
+            raise write_error(self.folder, error, "choose another folder, then run the command again") from error
 
 
 def _digest(content: bytes) -> str:

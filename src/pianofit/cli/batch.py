@@ -11,8 +11,7 @@ import shlex
 import signal
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +22,8 @@ from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.measurements import check_channel
-from ..setup import SETUP_KEYS, Setup
+from ..setup import Setup
+from ..synthetic import setup_text
 from . import options
 from .fits import setup_of_options
 from .options import choice, flag, integer, process_count, real, text
@@ -141,7 +141,7 @@ def batch(
             make_workers = _workers(count, memory, time_limit, scheduler, files == "value")
             run = run_joint_batch if joint else run_batch
             result = run(jobs, out, make_workers, retry_failed=retry_failed, tell=progress)
-        print_result(asdict(result), _summary(result), as_json)
+        print_result(result, _summary(result), as_json)
     if result.counts["failed"]:
         raise typer.Exit(3)
 
@@ -153,7 +153,7 @@ def status(
     from ..batch import status as run
 
     result = run(folder)
-    print_result(asdict(result), _summary(result), as_json)
+    print_result(result, _summary(result), as_json)
 
 
 def _settings(
@@ -170,29 +170,16 @@ def _settings(
     options = setup_of_options(setup, *assumed, None)
     if joint and not options.law.has_contact:
         raise SetupError(f"--joint has no prior for a {options.excitation}; leave it out")
-    names = ("felt", "excitation", "pickup_quantity")
-    toml = "".join(_option_tables(setup, dict(zip(names, assumed, strict=True))))
-    if setup is not None:
-        if options.recordings:
-            raise SetupError(
-                f"{printable(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
-            )
-        if joint and options.prior is not None:
-            raise SetupError(f"{printable(setup)}: has a [prior], which --joint computes for every key; remove one")
-        toml = setup.read_text(encoding="utf-8-sig").rstrip() + "\n" + toml
-    return Settings(seed, channel, page, toml)
-
-
-def _option_tables(setup: Path | None, options: Mapping[str, str | None]) -> Iterator[str]:
-    """Yield the tables of a setup for the options that the file does not have."""
-    own = {} if setup is None else tomllib.loads(setup.read_text(encoding="utf-8-sig"))
-    for name, value in options.items():
-        table, key = SETUP_KEYS[name]
-        if value is None or own.get(table, {}).get(key) == value:
-            continue
-        if table in own:
-            raise SetupError(f'{printable(setup or "")}: has a table [{table}]; add {key} = "{value}" there')
-        yield f'[{table}]\n{key} = "{value}"\n'
+    if setup is None and not any(assumed):
+        return Settings(seed, channel, page)
+    if options.recordings:
+        raise SetupError(
+            f"{printable(setup or '')}: has a [[recording]]; the manifest names the recordings, with their velocities"
+        )
+    if joint and options.prior is not None:
+        raise SetupError(f"{printable(setup or '')}: has a [prior], which --joint computes for every key; remove one")
+    prior = "" if options.prior is None else options.prior.to_toml()
+    return Settings(seed, channel, page, setup_text(options) + prior)
 
 
 def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
@@ -286,14 +273,14 @@ def _print_plan(manifest: Path, jobs: list[Job], standing: dict[str, str], as_js
     lines, rows = [], []
     for job in jobs:
         rows.append({"key": job.key, "note": job.note, "hash": job.hash, "standing": standing[job.key]})
-        rows[-1]["recordings"] = [asdict(source) for source in job.sources]
+        rows[-1]["recordings"] = job.sources
         lines.append(f"{job.key}: {job.note}, {counted(len(job.sources), 'recording')}, {standing[job.key]}")
         lines += [f"  {line}" for line in columns([source.row(folder) for source in job.sources], right=-1)]
     lines += ["not read:"] * bool(missed)
     lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
     lines.append(f"{todo} of {counted(len(jobs), 'key')} to do; nothing was written")
-    print_result({"keys": rows, "unread": [asdict(file) for file in missed]}, "\n".join(lines) + "\n", as_json)
+    print_result({"keys": rows, "unread": missed}, "\n".join(lines) + "\n", as_json)
 
 
 def _summary(result: Status) -> str:

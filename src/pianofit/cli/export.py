@@ -101,16 +101,13 @@ def _given(ctx: typer.Context, names: Sequence[str]) -> list[str]:
 
 def _check_target(to: str, out: Path, given: list[str], force: bool) -> None:
     """Check the name of the output, and reject sampler options for formats without samples."""
-    name, ending = printable(out), ENDINGS.get(to)
-    if ending is None:
+    if to not in ENDINGS:
         if re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
-            raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
+            raise OutputError(f"{printable(out)}: is called like a file; give --out the name of a folder")
         return
     if given:
         raise ParameterError(f"to={to!r} has no samples; leave out {', '.join(given)}")
-    if out.suffix.lower() != ending:
-        raise OutputError(f"{name}: --format {to} writes a file; give --out a name that ends in {ending}")
-    check_target(out, force)
+    check_target(out, force, ENDINGS[to])
 
 
 def _sampler_summary(summary: ExportSummary, added: list[int]) -> str:

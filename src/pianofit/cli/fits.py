@@ -10,23 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..conversions import HALF_WIDTH_95
-from ..errors import OutputError, ParameterError, SetupError
+from ..errors import ParameterError, SetupError
 from ..excitation import STROKES
 from ..io.containers import readable_formats
-from ..io.files import (
-    check_sound_target,
-    check_target,
-    encode_wav,
-    json_text,
-    output_folder,
-    printable,
-    replace_file,
-    write_file,
-)
+from ..io.files import check_target, encode_wav, json_text, output_folder, printable, replace_file
 from ..io.number_format import columns, counted, format_with_interval, with_standard_error
-from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording.recording import load_recording, load_recordings
+from ..recording.recording import load_recording
 from ..setup import SETUP_KEYS, Setup
 from . import options
 from .options import choice, integer, real, text
@@ -133,8 +123,6 @@ def fit(
     as_json: options.Json = False,
 ) -> None:
     """Estimate string and hammer, or string and pluck, from one or several recordings of a key."""
-    check_velocity(velocity)
-    check_seed(seed)
     _check_method(method, evaluations, intervals, len(recordings))
     with output_folder(out, force) as folder, progress_bar() as progress:
         given: dict[str, Any] = {
@@ -199,7 +187,7 @@ def predict(
     from ..result.alignment import estimate_contact_onset
 
     if out is not None:
-        check_sound_target(out, force)
+        check_target(out, force, ".wav")
     fitted = Result.load(fit)
     sound = load_recording(recording, channel=channel)
     p = fitted.predict(sound)
@@ -207,7 +195,7 @@ def predict(
         strike = p.note.strike(sound.rate)
         contact = estimate_contact_onset(p.note, strike, sound)
         samples = p.note.render_mono(strike, sound.rate, len(sound.samples), contact)
-        write_file(out, encode_wav(samples, sound.rate), force)
+        replace_file(out, encode_wav(samples, sound.rate))
     was_fitted = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}
     end = f", at the limit of the searched range: {p.stroke.name} could not be determined" if p.at_search_limit else ""
     words = (
@@ -247,15 +235,12 @@ def cross_validate(
     as_json: options.Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
-    from ..fitting import analyse_all
     from ..result.cross_validation import cross_validate as run
 
-    check_seed(seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
-        loaded = load_recordings(recordings, channel)
-        analyses = analyse_all(loaded, note, f0)
         given = setup_of_options(setup, felt, excitation, quantity, pickup)
-        held_out = run(*loaded, setup=given, seed=seed, progress=progress, analyses=analyses)
+        sources = {"note": note, "f0": f0, "channel": channel}
+        held_out = run(*recordings, setup=given, **sources, seed=seed, progress=progress)
         if folder is not None:
             held_out.result.save(folder, force=True, page=False)
             held_out.result.report(folder, held_out=held_out)
@@ -289,13 +274,9 @@ def compare(
     from ..report.compare import FIGURE_KINDS
     from ..report.compare import compare as run
 
-    kind = "" if out is None else out.suffix.lower().removeprefix(".")
     if out is not None:
-        if kind not in FIGURE_KINDS:
-            kinds = ", .".join(FIGURE_KINDS)
-            raise OutputError(f"{printable(out)}: a figure ends in .{kinds}; give --out another name")
-        check_target(out, force)
+        check_target(out, force, *(f".{kind}" for kind in FIGURE_KINDS))
     comparison = run(a, b)
     if out is not None:
-        write_file(out, comparison.figure(kind), force)
+        replace_file(out, comparison.figure(out.suffix[1:].lower()))
     print_result(comparison, f"{comparison!r}\n", as_json)

@@ -8,15 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import OutputError
-from ..io.files import (
-    check_sound_target,
-    check_target,
-    encode_pcm,
-    output_folder,
-    printable,
-    write_file,
-)
+from ..io.files import check_target, encode_pcm, output_folder, replace_file
 from ..io.number_format import counted
 from ..progress import progress_bar
 from . import options
@@ -85,13 +77,13 @@ def play(
     from ..playback import PedalRange, PlayOptions, load_song, render_song
 
     with progress_bar() as bar:
-        check_sound_target(out, force, ("wav", "flac"))
+        check_target(out, force, ".wav", ".flac")
         loaded, notes = load_instrument(built, prefix, even), load_song(song)
         start = time.perf_counter()
         options = PlayOptions(PedalRange(*pedal_range), resonance, noise, seed, gain_db, tempo, touch)
         rendered = render_song(loaded, notes, rate, bar, options)
         elapsed = time.perf_counter() - start
-    write_file(out, encode_pcm(rendered.samples, rate, out.suffix[1:].lower()), force)
+    replace_file(out, encode_pcm(rendered.samples, rate, out.suffix[1:].lower()))
     seconds = rendered.samples.shape[-1] / rate
     info = {
         "file": str(out),
@@ -144,14 +136,10 @@ def page(
     from ..instrument import load_instrument
     from ..web import write_playable_page
 
-    if out is not None:
-        if out.suffix.lower() not in (".html", ".htm"):
-            raise OutputError(f"{printable(out)}: a page is an HTML file; give --out a name that ends in .html")
-        check_target(out, force)
+    own = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
+    out = own if out is None else out
+    check_target(out, force, ".html", ".htm")
     loaded = load_instrument(built, prefix, even)
-    if out is None:
-        out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
-        check_target(out, force)
     written = write_playable_page(out, loaded, recordings)
     info = {
         "file": str(out),

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import ParameterError
 from ..felt import ALL_PARAMETERS, make_hammer
-from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
+from ..io.files import check_target, encode_wav, limit_peak, printable, replace_file
 from ..parameters import Geometry, String, check
 from ..transducer import ON_STRING, QUANTITIES, TRANSDUCERS
 from .options import PICKUP, RATE, Force, Seconds, Seed, Sound, choice, integer, real, text
@@ -56,7 +56,7 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Simulate a published or typical string and write its sound, optionally with a setup for a fit."""
-    check_sound_target(out, force)
+    check_target(out, force, ".wav")
     if setup_out is not None:
         check_target(setup_out, force)
         if setup_out.resolve() == out.resolve():
@@ -70,9 +70,9 @@ def simulate(
     geometry = _apply_positions(geometry, quantity, strike, pickup)
     sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise_db, "seed": seed}
     recording = synthetic_recording(string, hammer, geometry, **sizes, name=out.name)
-    write_file(out, encode_wav(recording.samples, rate), force)
+    replace_file(out, encode_wav(recording.samples, rate))
     if setup_out is not None:
-        write_file(setup_out, recording.setup_text.encode(), force)
+        replace_file(setup_out, recording.setup_text.encode())
     largest = float(recording.simulation.pulse.force.max())
     typer.echo(
         f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
@@ -142,7 +142,7 @@ def render(
     force: Force = False,
 ) -> None:
     """Synthesise a fitted note at any velocity or plucking position, with its gain and output path."""
-    check_sound_target(out, force)
+    check_target(out, force, ".wav")
     from ..model.note import check_render
     from ..report.summary import contact_text
     from ..schema.notes import load_note
@@ -155,7 +155,7 @@ def render(
     samples, gain = limit_peak(
         played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate))
     )
-    write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
+    replace_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate))
     scaled = f", multiplied by {gain:.3g} to stay below full scale" if gain < 1 else ""
     contact = f", {contact_text(strike)}" if strike.contacts else ""
     typer.echo(f"{out}: {seconds:g} s at {stroke}{contact}{scaled}")

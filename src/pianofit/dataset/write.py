@@ -15,7 +15,6 @@ import csv
 import io
 import os
 import shutil
-import sqlite3
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from .. import __version__
 from ..batch.fit_job import JobResult
 from ..batch.process_pool import ProcessPool
 from ..errors import FitError, OutputError, ParameterError, PianofitError, check_range, check_type
-from ..io.files import encode_pcm, encode_wav, path_name, printable, replace_file, write_error
+from ..io.files import encode_pcm, encode_wav, locked, path_name, printable, replace_file, write_error
 from ..parameters import check_seed
 from ..program_folder import enable_program_cache
 from ..progress import Progress, progress_bar
@@ -192,23 +191,15 @@ def _differences(record: DatasetFile) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Lock the folder for one run, and remove unfinished blocks of an interrupted one.
-
-    The lock is an SQLite lock on an empty file. The system releases it with the process.
-    """
+    """Lock the folder for one run, and remove unfinished blocks of an interrupted one."""
     try:
         (path / BLOCKS).mkdir(exist_ok=True)
-        with contextlib.closing(sqlite3.connect(path / LOCK, isolation_level=None, timeout=1.0)) as connection:
-            connection.execute("BEGIN EXCLUSIVE")
+        with locked(path / LOCK, f"{printable(path)}: another run writes this data set; wait for it"):
             for unfinished in (path / BLOCKS).glob(".*"):
                 shutil.rmtree(unfinished)
             yield
     except OSError as error:
         raise write_error(path, error, "choose another --out") from None
-    except sqlite3.DatabaseError as error:
-        if "locked" not in str(error):
-            raise OutputError(f"{printable(path)}: cannot be locked ({error}); choose another --out") from None
-        raise OutputError(f"{printable(path)}: another run writes this data set; wait for it") from None
 
 
 def _is_complete(path: Path, block: _Block) -> bool:

@@ -12,7 +12,6 @@ import json
 import os
 import signal
 import stat
-import struct
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -154,6 +153,27 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def locked(lock: Path, busy: str) -> Iterator[None]:
+    """Hold an SQLite lock on an empty file. The system releases it with the process.
+
+    Raises an `OutputError` if the file cannot be locked, with the message `busy` if another process holds it.
+    """
+    import sqlite3
+
+    try:
+        with contextlib.closing(sqlite3.connect(lock, isolation_level=None, timeout=1.0)) as connection:
+            connection.execute("BEGIN EXCLUSIVE")
+            yield
+    except sqlite3.DatabaseError as error:
+        message = (
+            busy
+            if "locked" in str(error)
+            else f"{printable(lock)}: cannot be locked ({error}); make room, or remove it"
+        )
+        raise OutputError(message) from None
+
+
+@contextlib.contextmanager
 def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     """Make Ctrl-C call `cleanup` and exit immediately with 130.
 
@@ -177,11 +197,14 @@ def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def check_target(path: Path, force: bool) -> None:
+def check_target(path: Path, force: bool, *endings: str) -> None:
     """Raise an `OutputError` if a file cannot be written, before its content is computed.
 
-    That is so if it exists and `force` is False, is a folder, or its folder does not exist.
+    That is so if its name has none of the `endings`, if it exists and `force` is False, is a folder, or its folder does
+    not exist.
     """
+    if endings and path.suffix.lower() not in endings:
+        raise OutputError(f"{printable(path)}: give --out a name that ends in {' or '.join(endings)}")
     if path.is_dir():
         raise OutputError(f"{printable(path)}: is a folder; give a file name")
     if path.exists() and not force:
@@ -190,22 +213,6 @@ def check_target(path: Path, force: bool) -> None:
         raise OutputError(
             f"{printable(path)}: the folder {printable(path.parent)} does not exist; create it, or give another --out"
         )
-
-
-def check_sound_target(path: Path, force: bool, kinds: tuple[str, ...] = ("wav",)) -> None:
-    """`check_target` for a sound. Its name must end in one of the `kinds`."""
-    if path.suffix.lower().removeprefix(".") not in kinds:
-        names, ends = " or ".join(kind.upper() for kind in kinds), " or ".join(f".{kind}" for kind in kinds)
-        raise OutputError(
-            f"{printable(path)}: sounds are written as {names} files; give --out a name that ends in {ends}"
-        )
-    check_target(path, force)
-
-
-def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write one file atomically, after `check_target`."""
-    check_target(path, force)
-    replace_file(path, content)
 
 
 def json_text(document: dict) -> str:
@@ -247,13 +254,11 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
             f"samples] with at most {MAX_CHANNELS} channels; transpose them, or divide integers by full scale"
         )
-    frames = np.ascontiguousarray(rows.T, "<f4")
-    channels, count = frames.shape[1], len(frames)
-    # Format 3 is IEEE float. A format other than PCM has an extension, here empty, and a chunk with the frame count.
-    layout = struct.pack("<HHIIHHH", 3, channels, rate, 4 * channels * rate, 4 * channels, 32, 0)
-    chunks = ((b"fmt ", layout), (b"fact", struct.pack("<I", count)), (b"data", frames.tobytes()))
-    body = b"WAVE" + b"".join(name + struct.pack("<I", len(data)) + data for name, data in chunks)
-    return b"RIFF" + struct.pack("<I", len(body)) + body
+    from scipy.io import wavfile
+
+    stream = io.BytesIO()
+    wavfile.write(stream, rate, np.ascontiguousarray(rows.T, "<f4"))
+    return stream.getvalue()
 
 
 def write_wav(path: str | os.PathLike[str], samples: np.ndarray, rate: int) -> None:
