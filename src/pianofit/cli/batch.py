@@ -23,7 +23,6 @@ from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.measurements import check_channel
 from ..setup import Setup
-from ..synthetic import setup_text
 from . import options
 from .fits import setup_of_options
 from .options import choice, flag, integer, process_count, real, text
@@ -166,6 +165,7 @@ def _settings(
 ) -> Settings:
     """Settings that all keys share. The setup, with felt, excitation and quantity, is checked and included as text."""
     from ..batch import Settings
+    from ..synthetic import setup_text
 
     options = setup_of_options(setup, *assumed, None)
     if joint and not options.law.has_contact:
