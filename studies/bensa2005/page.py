@@ -14,7 +14,7 @@ from pianofit.io.table_output import write_csv
 from pianofit.listening.page import ListeningSound, Question, write_listening
 from pianofit.parameters import PARAMETERS
 from pianofit.program_folder import enable_program_cache
-from pianofit.report.drawing import page_style, png, svg
+from pianofit.report.drawing import page_style, saved
 from pianofit.report.html import data_uri, write_page
 from pianofit.report.sound import Clip, make_clips
 
@@ -108,8 +108,8 @@ def _drawn(target: Path, draw: Callable, findings: Findings) -> str:
     """Write the PNG of a figure, and return its SVG as a data URI for the page."""
     with page_style():
         figure = draw(findings)
-        shown = data_uri("image/svg+xml", svg(figure))
-        replace_file(target, png(figure))
+        shown = data_uri("image/svg+xml", saved(figure, "svg"))
+        replace_file(target, saved(figure, "png"))
     return shown
 
 

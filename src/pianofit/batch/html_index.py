@@ -23,18 +23,13 @@ from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.text import SYMBOLS
 from ..schema.fit import Fit, read_fit
 from ..schema.modal_response import RENDER_MODELS
+from ..schema.quantities import MEANINGS
 from .records import Entry, Store, summary
 from .traffic_lights import LIGHTS, MATCH_LIMITS, RING_LIMITS, TUNING_LIMITS, lights
 
 WRITE_INTERVAL_S = 60.0  # s, between two writes while a batch is running
-# Columns of the page, and the first columns of the table. By name in fit.json: description and unit.
-INVARIANTS = {
-    "f0": ("fundamental frequency without stiffness", "Hz"),
-    "B": ("inharmonicity", ""),
-    "M_H/M_S": ("hammer mass over string mass", ""),
-    "x0/L": ("strike position over string length", ""),
-    "F/M_S": ("static felt force at the reference compression of the key, over string mass", "N/kg"),
-}
+# Columns of the page, and the first columns of the table: names in fit.json, and units.
+INVARIANTS = {"f0": "Hz", "B": "", "M_H/M_S": "", "x0/L": "", "F/M_S": "N/kg"}
 MAX_TOTAL_SAMPLES = 4_000_000  # of all sounds of the page together: 8 MB
 MAX_SECONDS = 3.0  # s, of each sound
 MIN_SECONDS = 1.0  # s, for any number of sounds
@@ -79,10 +74,9 @@ class Index:
             package="pianofit.batch",
             styles=("index.css",),
             scripts=("audio.js", "player.js", "index.js"),
-            strict=False,
             title=printable(self.store.folder.resolve().name),
             batch=summary(self.store.folder, entries),
-            columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
+            columns=[(SYMBOLS.get(name, name), MEANINGS[name], unit) for name, unit in INVARIANTS.items()],
             lights=LIGHTS,
             limits={"match": MATCH_LIMITS, "tuning": TUNING_LIMITS, "ring": RING_LIMITS},
             left_out=[(entry.key, recording.reason) for entry in done for recording in entry.left_out],

@@ -71,7 +71,6 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> None:
         path,
         "page.html.j2",
         package="pianofit.instrument",
-        strict=False,
         title=instrument.name or "Instrument",
         contents=True,
         warnings=instrument.warnings,
@@ -110,13 +109,12 @@ def _row(midi: int, key: Key, instrument: Instrument) -> dict[str, Any]:
 def _panels(instrument: Instrument) -> dict[str, list[Panel]]:
     """Panels, by figure."""
     shown = {name: [law for law in names if law in instrument.laws] for name, names in FIGURES.items()}
-    figures = {name: [_law_panel(instrument, law) for law in laws] for name, laws in shown.items() if laws}
+    figures = {name: [_law_panel(instrument, law) for law in laws] for name, laws in shown.items()}
     others = [Panel(draw, (instrument,)) for draw in (_paths, _velocities, _residuals)]
     figures["sound"] = [_law_panel(instrument, "level"), *others]
     fits = [(midi, key.fit) for midi, key in instrument.keys.items() if key.fit]
     partials = [(midi, partial) for midi, fit in fits for partial in fit.partials]
-    if partials:
-        figures["decays"] = [Panel(_decays, (partials, name), title) for name, title in DECAYS.items()]
+    figures["decays"] = [Panel(_decays, (partials, name), title) for name, title in DECAYS.items() if partials]
     return figures
 
 

@@ -21,7 +21,7 @@ from ..result import Result
 from ..schema.decode import builtins_of
 from ..schema.fit import fit_path
 from .comparison_table import ComparedQuantity, Sides
-from .drawing import FITTED, HEIGHT, INITIAL, INK, Panel, file_of, span
+from .drawing import FITTED, HEIGHT, INITIAL, INK, METADATA, Panel, page_style, saved, span
 from .plots import drawn_on
 from .static_law import StaticLaw, draw_band
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAMES = ("A", "B")
-FIGURE_KINDS = ("svg", "png", "pdf")  # of files, by their suffix
+FIGURE_KINDS = tuple(METADATA)  # of files, by their suffix
 LARGEST_RATIO = 10.0  # limit of the axis of the ratio; the panel of the forces shows larger differences
 LONGEST_LABEL = 28  # characters, so that both labels fit below a figure
 COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "status_b", "reason")
@@ -100,7 +100,8 @@ class Comparison:
         panel = Panel(
             _draw_laws_and_ratio, (self, felts), "Static force of the felts", heights, legend_rows=rows, columns=2
         )
-        return file_of(panel, kind)
+        with page_style():
+            return saved(panel.figure(), kind)
 
     def _drawable(self) -> tuple[StaticLaw, StaticLaw]:
         if self.felts is None:

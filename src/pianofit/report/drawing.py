@@ -79,6 +79,8 @@ STYLE: dict[Any, Any] = {
     "text.usetex": False,
     "path.simplify_threshold": 0.2,
 }
+# Kinds of files, and what matplotlib would write about itself or the time.
+METADATA = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator", "Producer")}
 DPI = 120  # of a PNG, and of raster images within an SVG
 _LOCK = Lock()  # matplotlib's settings are global
 
@@ -131,30 +133,13 @@ class Panel:
         return figure
 
 
-def svg(figure: Figure) -> bytes:
-    """Return the figure as SVG, byte for byte the same for the same figure."""
-    content = _saved(figure, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
-    return content.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
-
-
-def png(figure: Figure) -> bytes:
-    """Return the figure as PNG, byte for byte the same for the same figure."""
-    return _saved(figure, format="png", metadata={"Software": None})
-
-
-def file_of(panel: Panel, kind: str) -> bytes:
-    """Draw a panel as the content of an svg, png or pdf, byte for byte the same for the same panel."""
-    with page_style():
-        figure = panel.figure()
-        if kind == "pdf":
-            return _saved(figure, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
-        return svg(figure) if kind == "svg" else png(figure)
-
-
-def _saved(figure: Figure, **options: Any) -> bytes:
+def saved(figure: Figure, kind: str) -> bytes:
+    """Return the figure as the content of an svg, png or pdf, byte for byte the same for the same figure."""
     file = io.BytesIO()
-    figure.savefig(file, dpi=DPI, **options)
-    return file.getvalue()
+    ground: Any = "none" if kind == "svg" else "auto"
+    figure.savefig(file, dpi=DPI, format=kind, facecolor=ground, metadata=dict.fromkeys(METADATA[kind]))
+    content = file.getvalue()
+    return content.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'") if kind == "svg" else content
 
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:

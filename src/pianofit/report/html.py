@@ -15,14 +15,14 @@ import base64
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from typing import Any
 from xml.etree import ElementTree
 
 from ..io.files import replace_file
 from ..io.number_format import counted, number
-from .drawing import COLOURS, Panel, page_style, svg
+from .drawing import COLOURS, Panel, page_style, saved
 
 KIT = "pianofit.report"
 # A heading with an id, for the table of contents.
@@ -42,8 +42,6 @@ def page_bytes(
     package: str = KIT,
     styles: tuple[str, ...] = (),
     scripts: tuple[str, ...] = (),
-    filters: dict[str, Callable] | None = None,
-    strict: bool = True,
     title: str,
     contents: bool = False,
     **content: Any,
@@ -56,10 +54,8 @@ def page_bytes(
     template : a file of `package` that extends `kit.html.j2`.
     contents : whether the page has a table of contents, made of all headings with an id.
     styles, scripts : names of files. The styles follow `page.css`. The scripts are joined to one.
-    filters : additional filters of the template.
-    strict : if True, a missing entry of `content` is an error; otherwise it is empty.
     """
-    from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     script = "".join(asset(name, package) for name in scripts)
     environment = Environment(
@@ -67,9 +63,9 @@ def page_bytes(
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
-        undefined=StrictUndefined if strict else Undefined,
+        undefined=StrictUndefined,
     )
-    environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
+    environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall}
     html = environment.get_template(template).render(
         title=title,
         contents=contents,
@@ -101,7 +97,7 @@ def pictures(panels: Mapping[str, Iterable[Panel]]) -> dict[str, list[str]]:
     Each is as wide as its frame, and its ids differ from those of all other figures.
     """
     with page_style():
-        return {name: [_svg_element(svg(panel.figure())) for panel in own] for name, own in panels.items()}
+        return {name: [_svg_element(saved(panel.figure(), "svg")) for panel in own] for name, own in panels.items()}
 
 
 def _svg_element(content: bytes) -> str:

@@ -98,7 +98,7 @@ def largest_compression(result: Result) -> float:
 def draw_felt(result: Result) -> list[Panel]:
     """Draw the static law with its band, and the loops of force over compression of all strokes."""
     law, loops = static_law(result), [_loop(fitted) for fitted in result.recordings]
-    rows, panels = 1 if law.slow is None else 2, {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
+    rows, panels = 1 if law.slow is None else 2, {"Linear axes": draw_static_law, "Logarithmic axes": _logarithmic}
     mark = result.fit.derived.reference_compression_mm
 
     def draw_panel(axes: Axes, draw: Any) -> None:
@@ -110,11 +110,13 @@ def draw_felt(result: Result) -> list[Panel]:
     return [Panel(draw_panel, (draw,), title, legend_rows=rows + 1, columns=3) for title, draw in panels.items()]
 
 
-def draw_static_law(axes: Axes, law: StaticLaw) -> None:
-    """Draw the static law with its band over the compressions of the strokes."""
+def draw_static_law(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, np.ndarray]] = ()) -> None:
+    """Draw the static law with its band over the compressions of the strokes, and their loops."""
+    for i, (compression, force) in enumerate(loops):
+        axes.plot(compression, force, color=LOOP, lw=1.1, zorder=3, label="" if i else "during the stroke")
     _draw_law(axes, law)
-    top = span(*(curve for curve in (law.force[0], law.slow) if curve is not None))[1]
-    axes.set(xlim=(0.0, 1.03 * law.compression_mm[-1]), ylim=(0.0, 1.3 * max(top, 1e-9)))
+    top = max(0.0, span(law.force[0], *(force for _, force in loops))[1])
+    axes.set(xlim=(0.0, 1.03 * law.compression_mm[-1]), ylim=(0.0, 1.25 * max(top, 1e-9)))
 
 
 def _loop(fitted: FittedRecording) -> tuple[np.ndarray, np.ndarray]:
@@ -141,14 +143,6 @@ def draw_band(axes: Axes, u: np.ndarray, force: np.ndarray, style: dict[str, Any
     if (high > low).any():
         axes.fill_between(u, low, high, color=style["color"], alpha=0.18, lw=0, zorder=1, label=f"{name}, 95 %")
     axes.plot(u, force[0], label=name, **style)
-
-
-def _linear(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    for i, (compression, force) in enumerate(loops):
-        axes.plot(compression, force, color=LOOP, lw=1.1, zorder=3, label="" if i else "during the stroke")
-    _draw_law(axes, law)
-    top = max(0.0, span(law.force[0], *(force for _, force in loops))[1])
-    axes.set(xlim=(0.0, 1.03 * law.compression_mm[-1]), ylim=(0.0, 1.25 * max(top, 1e-9)))
 
 
 def _logarithmic(axes: Axes, law: StaticLaw, loops: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:

@@ -65,7 +65,7 @@ def write_page(path: str | os.PathLike[str], tuning: Tuning) -> None:
         wide=[by_note[note] for note in tuning.wide_unisons],
         beating=[key for key in tuning.keys if key.beats],
         pictures=html.pictures(panels_of(tuning)),
-        filters={"cents": span_text, "digits": span_text},
+        span=span_text,
         version=__version__,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,13 @@ import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..instrument import Instrument
-from ..io.files import encode_pcm, printable
+from ..io.files import printable
 from ..model.note import Note
 from ..playback.voice import CHANNELS
 from ..recording.recording import load_recording
 from ..report.sound import excerpt
 from ..schema.instrument import Layer
+from ..schema.modal_response import encode_embedded
 
 # Lengths of a layer, s. The longest is used for which all layers fit into `ROOM`, bytes of the page.
 LENGTHS = (4.0, 3.0, 2.0)
@@ -72,5 +72,5 @@ def _encode(layer: Layer, samples: np.ndarray, rate: int, seconds: float) -> dic
     factor = math.ceil(rate / HIGHEST_RATE)
     kept = excerpt(samples, rate, 0.0, seconds, factor)
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)
-    flac = base64.b64encode(encode_pcm(kept, round(rate / factor), "flac", 16)).decode()
+    flac = encode_embedded(kept, round(rate / factor))
     return {"name": printable(Path(layer.file).name), "velocity": layer.velocity, "flac": flac}
