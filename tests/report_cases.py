@@ -25,7 +25,7 @@ from pianofit.result import FittedRecording, Result
 from pianofit.result.cross_validation import CrossValidation, LeftOutRecording
 from pianofit.result.fitted_recording import RenderedFit
 from pianofit.schema.decode import builtins_of, convert
-from pianofit.schema.fit import Criterion, Fit, LevelErrors
+from pianofit.schema.fit import Criterion, Fit, LevelErrors, PartialLevels
 from pianofit.schema.modal_response import FittedModalResponse
 from pianofit.schema.quantities import Quantities
 
@@ -118,19 +118,18 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
     )
     loops = stroke(2.6, 9e-4, 1.5e9, 2.55, 0.1), stroke(2.2, 1.6e-4 * velocity, 5.2e9, 2.56, 0.2)
     sounds = (
-        RenderedFit(note, quiet * initial if place == 1 else initial, loops[0], level_initial),
-        RenderedFit(note, fitted, loops[1], level_fitted),
+        RenderedFit(note, quiet * initial if place == 1 else initial, loops[0]),
+        RenderedFit(note, fitted, loops[1]),
     )
     ringing = None
     if modes:
         stereo = np.stack([fitted, 0.5 * np.roll(fitted, 9)])
         pole = -decay + 2j * np.pi * frequency
         response = ModalResponse(k, pole, np.full(count, 0.1), np.ones((2, count), complex), np.zeros((2, 0)), rate)
-        ringing = RenderedFit(
-            note._replace(modal_response=response), stereo.mean(axis=0), loops[1], level_fitted, stereo
-        )
+        ringing = RenderedFit(note._replace(modal_response=response), stereo.mean(axis=0), loops[1], stereo)
     criterion, errors = Criterion({}, (), 30.0, ()), LevelErrors(9.0, 1.0, None, count)
-    return FittedRecording(*sounds, level, recording, analysis, criterion, errors, ringing)
+    levels = PartialLevels(k, level, np.full(count, 0.3), level_initial, level_fitted)
+    return FittedRecording(*sounds, recording, analysis, levels, criterion, errors, ringing)
 
 
 def example_result(fit: Fit | None = None, recordings: tuple[FittedRecording, ...] = (), **sizes: Any) -> Result:

@@ -68,7 +68,8 @@ def test_with_its_recording_it_is_the_result_that_was_saved(made):
         np.testing.assert_array_equal(getattr(one.partials, field.name), getattr(other.partials, field.name))
     for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.final, other.final)):
         alike(mine.samples, theirs.samples, 1e-6)
-        alike(mine.level, theirs.level)
+    for field in dataclasses.fields(one.compared):
+        alike(getattr(one.compared, field.name), getattr(other.compared, field.name))
     assert (one.criterion, one.levels) == (other.criterion, other.levels)
     assert builtins_of(whole.fit) == builtins_of(result.fit)
     assert (one.with_modes is None) == (other.with_modes is None)

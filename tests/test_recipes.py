@@ -280,13 +280,14 @@ def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
     sound, analysed = (recording(), analysis()) if calibrated else uncalibrated()[:2]
     result = result_of(calibrated)
     scale = 20 * np.log10(start().scale) if calibrated else 0.0
-    for played in (result.initial, result.fitted):
+    compared = result.reference.compared
+    for played, level in ((result.initial, compared.initial), (result.fitted, compared.fitted)):
         # Levels of the sounds as the analysis measures them, in file units.
         own = analyse(recording_from_samples(played.samples, sound.rate, name="played")).partials
         strong = own.number[own.level > own.level.max() - 20]
         both = np.intersect1d(strong, analysed.partials.number)
         measured = own.level[np.isin(own.number, both)] + scale
-        np.testing.assert_allclose(played.level[np.isin(analysed.partials.number, both)], measured, atol=0.5)
+        np.testing.assert_allclose(level[np.isin(analysed.partials.number, both)], measured, atol=0.5)
 
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():

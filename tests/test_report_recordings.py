@@ -244,7 +244,7 @@ def rendered(velocity: float, memory: bool) -> RenderedFit:
     string = String(*(VALUES[name] for name in SHARED[:4]))
     note = Note(string, RelaxingHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
     samples, simulation = note.render_stroke(RATE, RATE)
-    return RenderedFit(note, samples, simulation, np.zeros(12))
+    return RenderedFit(note, samples, simulation)
 
 
 def result_of(

@@ -35,7 +35,7 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
     played = SimpleNamespace(samples=sound(seconds, DECAY, 2.0)) if rings else None
     fitted = SimpleNamespace(
         recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=string, with_modes=played,
-        final=played or string, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
+        final=played or string, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER, level=LEVEL),
     )  # fmt: skip
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
     ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)

@@ -143,7 +143,7 @@ def test_the_figures_show_this_fit():
     force = {line.get_label(): line for line in result().plot.force().lines}["fitted"].get_ydata()
     assert np.nanmax(force) == pytest.approx(result().fit.derived.quantities.peak_force.value)
     levels = {line.get_label(): line for line in result().plot.levels().lines}["fitted"].get_ydata()
-    np.testing.assert_array_equal(levels, result().fitted.level)
+    np.testing.assert_array_equal(levels, result().reference.compared.fitted)
     assert {text.get_text() for text in result().plot.spectrum().get_legend().get_texts()} == {
         "measured", "initial", "fitted",
     }  # fmt: skip

@@ -53,11 +53,10 @@ def point_result(
         1.0,
         None,
     )
-    before, after = (
-        comparison.render(note, comparison.gain, begins, _levels(note, note.strike(recording.rate), analysis))
-        for note in (first, first._replace(string=found.string, hammer=found.hammer))
-    )
-    compared = comparison.compare(before, after, comparison.level_errors(before.level, after.level))
+    notes = (first, first._replace(string=found.string, hammer=found.hammer))
+    before, after = (comparison.render(note, comparison.gain, begins) for note in notes)
+    levels = [comparison.at_best_gain(one, _levels(one.note, one.simulation, analysis)) for one in (before, after)]
+    compared = comparison.compare(before, after, levels, comparison.level_errors(*levels))
     parameters = _parameters(start, (*found.string, *found.hammer), values, found.at_bound)
     record = record_of(compared, parameters["v_H0"], start.scale is not None)
     fit = Fit(

@@ -16,17 +16,13 @@ from ..io.number_format import counted, number
 from ..modal_response import partial_band
 from ..model.modal_response import PartialDecay
 from ..result import Result
-from ..schema.modal_response import FittedModalResponse, RenderModel
+from ..schema.modal_response import RENDER_MODELS, FittedModalResponse
 from .drawing import FITTED, HEIGHT, INITIAL, LINES, Panel, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LABELS: dict[RenderModel, str] = {
-    "string model": "string model alone",
-    "modes": "modes",
-    "modes and knock": "modes and knock",
-}
+LABELS = dict(zip(RENDER_MODELS, ("string model alone", *RENDER_MODELS[1:]), strict=True))
 ENVELOPES = 6  # partials whose envelopes are shown
 ENVELOPE_SECONDS = 3.0  # after the onset
 MARGIN_SECONDS = 0.2  # kept at both ends for the analysis windows
@@ -135,8 +131,8 @@ def envelopes_of(result: Result, numbers: list[int]) -> list[Envelope]:
 
 def draw_envelopes(result: Result) -> list[Panel]:
     """Draw the envelopes of the strongest partials."""
-    reference = result.reference
-    strongest = sorted(reference.partials.number[np.argsort(reference.level)[-ENVELOPES:]].tolist())
+    partials = result.reference.partials
+    strongest = sorted(partials.number[np.argsort(partials.level)[-ENVELOPES:]].tolist())
     return [Panel(draw_envelope, (one,), heights=(0.6 * HEIGHT,)) for one in envelopes_of(result, strongest)]
 
 

@@ -76,7 +76,7 @@ class Plots:
         """
         reference = self.result.reference
         measured = reference.partials.number
-        chosen = int(measured[reference.level.argmax()]) if number is None else number
+        chosen = int(measured[reference.partials.level.argmax()]) if number is None else number
         if chosen not in measured:
             raise ParameterError(
                 f"number={number} is not a partial of this recording; choose one of {measured.tolist()}"

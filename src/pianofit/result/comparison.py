@@ -25,7 +25,7 @@ from ..inference import STRING_SIZE, InferenceResult, select_partials
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording.recording import Recording
-from ..schema.fit import BandValue, Criterion, LevelErrors
+from ..schema.fit import BandValue, Criterion, LevelErrors, PartialLevels
 from .alignment import align_attack, estimate_contact_onset
 from .fitted_recording import FittedRecording, RenderedFit
 from .minima import note_at
@@ -92,22 +92,24 @@ class RecordingComparison:
         """Sample index of the first contact, by alignment of the attack; None if the onset determines it."""
         return None if self.gain is None else round(align_attack(note._replace(gain=self.gain), self.recording))
 
-    def render(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> RenderedFit:
+    def render(self, note: Note, gain: float | None, begins: int | None) -> RenderedFit:
         """Render a note aligned with the recording.
 
         Parameters
         ----------
         gain : gain of the sound; the best one by the criterion if None.
         begins : sample index of the first contact; estimated from the onset if None.
-        level : levels at a gain of 1, dB [partials].
         """
         strike = note.strike(self.recording.rate)
         begins = estimate_contact_onset(note, strike, self.recording) if begins is None else begins
         samples = note.render_mono(strike, self.recording.rate, len(self.recording.samples), begins)
         if gain is None:
             gain = float(np.sqrt(self.energy_and_gain(samples)[1]))
-            level = level + 20 * np.log10(max(gain, 1e-15))
-        return RenderedFit(note._replace(gain=gain), samples * gain, strike, level)
+        return RenderedFit(note._replace(gain=gain), samples * gain, strike)
+
+    def at_best_gain(self, sound: RenderedFit, level: np.ndarray) -> np.ndarray:
+        """Levels of a sound at a gain of 1, dB [partials], with the gain that the criterion gave it, if it did."""
+        return level if self.gain is not None else level + 20 * np.log10(max(float(sound.note.gain), 1e-15))
 
     def level_errors(
         self, initial: np.ndarray, fitted: np.ndarray, reference_hammer: np.ndarray | None = None
@@ -121,10 +123,13 @@ class RecordingComparison:
         reference = None if reference_hammer is None else error(reference_hammer)
         return LevelErrors(error(initial), error(fitted), reference, int(chosen.sum()))
 
-    def compare(self, initial: RenderedFit, fitted: RenderedFit, levels: LevelErrors) -> FittedRecording:
-        """The recording with two sounds, and the criterion of both."""
-        criterion = self._criterion(initial, fitted)
-        return FittedRecording(initial, fitted, self.level, self.recording, self.analysis, criterion, levels)
+    def compare(
+        self, initial: RenderedFit, fitted: RenderedFit, levels: Sequence[np.ndarray], errors: LevelErrors
+    ) -> FittedRecording:
+        """The recording with two sounds, their `levels`, dB [partials], and the criterion of both."""
+        table, criterion = self.analysis.partials, self._criterion(initial, fitted)
+        compared = PartialLevels(table.number, self.level, table.level_error, levels[0], levels[1])
+        return FittedRecording(initial, fitted, self.recording, self.analysis, compared, criterion, errors)
 
     def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> Criterion:
         """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are excluded.
@@ -174,12 +179,12 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
         begins = comparison.contact(note)
         # The uncertainty of the onset affects the lowest partial least.
         gain = 10 ** (integrated.columns[i][0] / 20) if comparison.gain is None else comparison.gain
-        after = comparison.render(note, float(gain), begins, comparison.levels_at_partials(fitted[i], columns))
+        after = comparison.render(note, float(gain), begins)
         # The initial sound has its best gain by the criterion, since its overall level is not compared.
-        first = note_at(problem, start, problem.structure.stroke[i])
-        before = comparison.render(first, comparison.gain, begins, comparison.levels_at_partials(initial[i], columns))
-        levels = [before.level, after.level]
-        levels += [] if reference_hammer is None else [comparison.levels_at_partials(reference_hammer[i], columns)]
+        before = comparison.render(note_at(problem, start, problem.structure.stroke[i]), comparison.gain, begins)
+        rows = [initial[i], fitted[i]] + ([] if reference_hammer is None else [reference_hammer[i]])
+        first, *others = (comparison.levels_at_partials(row, columns) for row in rows)
+        levels = [comparison.at_best_gain(before, first), *others]
         errors = comparison.level_errors(*map(comparison.add_noise_floor, levels))
-        compared.append(comparison.compare(before, after, errors))
+        compared.append(comparison.compare(before, after, levels, errors))
     return tuple(compared)

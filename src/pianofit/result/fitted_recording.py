@@ -11,7 +11,7 @@ from ..model import Simulation
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..recording.recording import Recording
-from ..schema.fit import Criterion, LevelErrors
+from ..schema.fit import Criterion, LevelErrors, PartialLevels
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,7 +21,6 @@ class RenderedFit:
     note: Note
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
-    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
     frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
 
     def __repr__(self) -> str:
@@ -34,9 +33,9 @@ class FittedRecording:
 
     initial: RenderedFit
     fitted: RenderedFit
-    level: np.ndarray  # measured, dB in the pickup unit [partials]
     recording: Recording
     analysis: Analysis
+    compared: PartialLevels
     criterion: Criterion
     levels: LevelErrors
     with_modes: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
@@ -58,7 +57,7 @@ class FittedRecording:
         note = fitted.note.with_gain(gain)._replace(modal_response=modal_response)
         contact = recording.onset + round(contact_delay * recording.rate)
         frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
-        return replace(self, with_modes=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
+        return replace(self, with_modes=RenderedFit(note, frames.mean(axis=0), fitted.simulation, frames))
 
     @property
     def sound(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..literature import reference_compression
 from ..schema.decode import convert
 from ..schema.derived import Derived, GlideWindow, Recontact
 from ..schema.diagnostics import Correlation, Diagnostics, ExcessSd, PathPrior, PosteriorDiagnostics, ProfileCurve
-from ..schema.fit import PartialLevels, PathEntry, Pickup, RecordingFit
+from ..schema.fit import PathEntry, Pickup, RecordingFit
 from ..schema.quantities import Quantity
 from .correlations import StrongCorrelation
 from .fitted_recording import FittedRecording
@@ -40,7 +40,7 @@ def records_of(
 
 def record_of(fitted: FittedRecording, velocity: Quantity, calibrated: bool) -> RecordingFit:
     """The record of a recording that is fitted alone; `velocity` is that of its stroke."""
-    source, table = fitted.recording, fitted.partials
+    source = fitted.recording
     return RecordingFit(
         file=source.path,
         sha256=source.sha256,
@@ -60,9 +60,7 @@ def record_of(fitted: FittedRecording, velocity: Quantity, calibrated: bool) -> 
         stroke=0,
         criterion=fitted.criterion,
         levels=fitted.levels,
-        partials=PartialLevels(
-            table.number, fitted.level, table.level_error, fitted.initial.level, fitted.fitted.level
-        ),
+        partials=fitted.compared,
     )
 
 

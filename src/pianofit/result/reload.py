@@ -7,7 +7,6 @@ equal the stored one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above
 from ..errors import AnalysisError, FitError, ParameterError, RecordingError
@@ -77,17 +76,13 @@ def _analyse_fitted_note(recording: Recording, record: RecordingFit, note: Note)
 def _compare(fit: Fit, notes: Sequence[Note], index: int, recording: Recording, analysis: Analysis) -> FittedRecording:
     """Compare one recording with the model, as during the fit."""
     record, note = fit.recordings[index], notes[index]
-    stored = record.partials
     gain = float(note.gain) if record.gain_status == "given" else None
     comparison = RecordingComparison(recording, analysis, None if gain is None else 1.0 / gain)
-    measured = comparison.levels_at_partials(stored.measured, stored.number)
     plain = note._replace(gain=1.0, modal_response=None)
     begins = comparison.contact(plain)
-    level = comparison.levels_at_partials(stored.initial, stored.number)
-    initial = replace(comparison.render(initial_note(fit, record, note), gain, begins, level), level=level)
-    level = comparison.levels_at_partials(stored.fitted, stored.number)
-    fitted = comparison.render(plain, float(note.gain), begins, level)
-    compared = FittedRecording(initial, fitted, measured, recording, analysis, record.criterion, record.levels)
+    initial = comparison.render(initial_note(fit, record, note), gain, begins)
+    fitted = comparison.render(plain, float(note.gain), begins)
+    compared = FittedRecording(initial, fitted, recording, analysis, record.partials, record.criterion, record.levels)
     return (
         compared
         if note.modal_response is None
