@@ -221,7 +221,7 @@ def _extras() -> bytes:
 
     row = np.array([100.0, 1000.0])
     damper = DamperEntry(
-        file="a.wav", sha256="0", release_s=1.0, log_rate=4.0, slope=0.2, covariance=((0.01, 0.0), (0.0, 0.01)),
+        file="a.wav", sha256="0", release_s=1.0, log_rate=4.0, slope=0.2, covariance=0.01 * np.eye(2),
         frequency=row, rate=0.1 * row, rate_error=0.01 * row,
     )  # fmt: skip
     release = SoundEntry.of(np.full((1, 64), 0.1), 8_000)

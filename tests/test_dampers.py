@@ -33,7 +33,7 @@ def measured(midi: int, dampers: Dampers, sd: float = 0.01) -> KeyExtras:
     none = np.zeros(0)
     entry = DamperEntry(
         file="a.wav", sha256="", release_s=1.0, log_rate=log_rate, slope=dampers.slope,
-        covariance=((sd**2, 0.0), (0.0, sd**2)), frequency=none, rate=none, rate_error=none,
+        covariance=sd**2 * np.eye(2), frequency=none, rate=none, rate_error=none,
     )  # fmt: skip
     return KeyExtras(midi=midi, dampers=(entry,))
 

@@ -61,7 +61,7 @@ USES = {
     " threads",
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp felt instrument io model playback report schema threads",
-    "mend": "analysis batch dsp instrument io modal_response model recording schema",
+    "mend": "analysis batch dsp instrument io modal_response model recording",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io listening literature mend"

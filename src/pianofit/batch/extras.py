@@ -12,7 +12,7 @@ from ..analysis.noise import FREQUENCIES, noise_density
 from ..analysis.note_names import note_to_midi
 from ..analysis.release import release_sound
 from ..errors import PianofitError
-from ..recording.recording import Recording, load_recording
+from ..recording.recording import load_recording
 from ..schema.extras import DamperEntry, KeyExtras, NoiseFloor, SoundEntry
 from .manifest import Role
 
@@ -32,7 +32,8 @@ def measure_extras(
         try:
             recording = load_recording(file, channel=channel)
             if role == "damped":
-                dampers.append(_damper(recording, note, paths[str(file)]))
+                fitted = {name: x for name, x in vars(fit_damper(recording, note)).items() if name != "f1"}
+                dampers.append(DamperEntry(file=paths[str(file)], sha256=recording.sha256, **fitted))
             if role == "release":
                 releases.append(SoundEntry.of(release_sound(recording), recording.rate, paths[str(file)]))
             else:
@@ -42,22 +43,6 @@ def measure_extras(
     return KeyExtras(
         midi=note_to_midi(note), dampers=tuple(dampers), releases=tuple(releases), noise=_noise(densities)
     ), unusable
-
-
-def _damper(recording: Recording, note: str, path: str) -> DamperEntry:
-    fit = fit_damper(recording, note)
-    (a, b), (c, d) = fit.covariance.tolist()
-    return DamperEntry(
-        file=path,
-        sha256=recording.sha256,
-        release_s=fit.release_s,
-        log_rate=fit.log_rate,
-        slope=fit.slope,
-        covariance=((a, b), (c, d)),
-        frequency=fit.frequency,
-        rate=fit.rate,
-        rate_error=fit.rate_error,
-    )
 
 
 def _noise(densities: list[np.ndarray]) -> NoiseFloor | None:

@@ -82,11 +82,8 @@ class SfzText:
         self._files: dict[tuple[str, Path], Path] = {}
         self._left = MAX_TEXT
 
-    def pieces(self) -> Iterator[str]:
+    def pieces(self, file: Path, stack: tuple[Path, ...] = ()) -> Iterator[str]:
         """Lines, or parts of lines around a directive. Includes and variables are replaced by their text."""
-        yield from self._pieces(self.source, ())
-
-    def _pieces(self, file: Path, stack: tuple[Path, ...]) -> Iterator[str]:
         stack = (*stack, file.resolve())
         if len(stack) > MAX_DEPTH:
             raise SetupError(f"{printable(file)}: more than {MAX_DEPTH} files include one another; put them into one")
@@ -100,7 +97,7 @@ class SfzText:
                     self._define(word, self._expanded(value or ""))
                 else:
                     included = self._included(self._expanded(quoted or bare), file, stack)
-                    yield from self._pieces(included, stack)
+                    yield from self.pieces(included, stack)
             yield self._expanded(line[start:])
 
     def _text(self, file: Path) -> str:
@@ -194,7 +191,7 @@ def _merged(levels: dict[str, dict[str, str]]) -> dict[str, str]:
 
 def _tokens(text: SfzText) -> Iterator[tuple[str, str, str]]:
     """Headers and opcodes in order: (header, "", "") or ("", opcode, value). A value may contain spaces."""
-    for piece in text.pieces():
+    for piece in text.pieces(text.source):
         matches = [*_TOKEN.finditer(piece)]
         ends = [*(match.start() for match in matches[1:]), len(piece)]
         for match, end in zip(matches, ends, strict=False):

@@ -39,7 +39,7 @@ def damper_law(extras: Sequence[KeyExtras]) -> Dampers:
 
 def _key_mean(key: KeyExtras) -> tuple[np.ndarray, np.ndarray]:
     """Mean of log rate and slope over the recordings of a key, weighted by their precision, and its covariance."""
-    precisions = [np.linalg.inv(np.array(entry.covariance)) for entry in key.dampers]
+    precisions = [np.linalg.inv(entry.covariance) for entry in key.dampers]
     values = [np.array([entry.log_rate, entry.slope]) for entry in key.dampers]
     covariance = np.linalg.inv(np.sum(precisions, axis=0))
     return covariance @ np.sum([p @ v for p, v in zip(precisions, values, strict=True)], axis=0), covariance

@@ -17,16 +17,14 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note, note_to_midi
 from ..batch import Key, Sample, read_keys
-from ..conversions import HIGHEST_KEY, LOWEST_KEY
 from ..errors import FitError, RecordingError, SetupError, check_range
-from ..instrument import Instrument, find_fits, load_instrument
+from ..instrument import Instrument, load_instrument
 from ..instrument.key_quantities import stroke_level
 from ..io.audio import decode_file
 from ..io.files import PEAK_LIMIT, encode_pcm, encode_wav, limit_peak, output_folder, printable, read_file, replace_file
 from ..io.table_output import write_csv
 from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import MAX_BYTES, load_recording
-from ..schema.fit import read_fit
 from .layers import LayerLaw, even_level, layer_laws, missing_sounds, recorded_level
 from .tail import Continuation, continue_by_modes, end_in_silence, lengthen, modes_of_key
 
@@ -130,8 +128,6 @@ def mend_library(
     check_range("tails=", options.tails, 0.0, 120.0, " s")
     check_range("even_levels=", options.even_levels, 0.0, 1.0)
     check_range("onsets=", options.onsets, 0.0, 1.0)
-    for key in options.keys or ():
-        check_range("keys=", key, LOWEST_KEY, HIGHEST_KEY)
     keys, remarks = read_keys(library, pattern=pattern)
     names = sorted({key.instrument for key in keys})
     if len(names) > 1 if prefix is None else prefix not in names:
@@ -148,12 +144,6 @@ def mend_library(
     if out is not None:
         _check_out(out, root, files)
     digests = {file: hashlib.sha256(read_file(file, MAX_BYTES, RecordingError)).hexdigest() for file in files}
-    fitted = {recording.sha256 for file in find_fits([fits], prefix) for recording in read_fit(file).recordings}
-    if not fitted & {*digests.values()}:
-        raise FitError(
-            f"{printable(fits)}: holds no fit of the recordings of {printable(library)}; run pianofit batch on it, and "
-            "give its folder"
-        )
     sounds = _mended(_read(notes, root, load_instrument(fits, prefix), digests), options, remarks, progress)
     if out is None:
         return [change for sound in sounds for change in sound.changes], remarks
@@ -175,7 +165,7 @@ def _read(notes: list[tuple[Key, Sample]], root: Path, instrument: Instrument, d
         if digests[sample.file] in velocity:
             recorded.setdefault(sample.layer, {})[note_to_midi(key.note)] = velocity[digests[sample.file]]
     if not recorded:
-        raise FitError(f"the instrument has other recordings than {printable(root)}; run pianofit batch again")
+        raise FitError(f"--fits: holds no fit of the recordings in {printable(root)}; give that of pianofit batch")
     return _Library(root, notes, instrument, layer_laws(recorded), recorded)
 
 

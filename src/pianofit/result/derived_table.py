@@ -62,4 +62,4 @@ def with_force_interval(draws: DrawSet) -> Quantities:
     if own is None or own.interval is None:
         return invariants
     found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
-    return Quantities.of([*({**invariants, "F/M_S": replace(own, interval=found.interval)}).values()])
+    return Quantities({**invariants, "F/M_S": replace(own, interval=found.interval)})

@@ -222,14 +222,8 @@ def brightening(slower: Analysis, faster: Analysis) -> tuple[float, float, float
         return 0.0, np.inf, 0.0
     change = b.level[j] - a.level[i]
     weight = 1 / (a.level_error[i] ** 2 + b.level_error[j] ** 2 + STROKE_SCATTER_DB**2)
-    octaves = np.log2(number)
-    octaves = octaves - np.average(octaves, weights=weight)
-    mean = float(np.average(change, weights=weight))
-    spread = float(weight @ octaves**2)
-    slope = float(weight @ (octaves * change)) / spread
-    residual = change - mean - slope * octaves
-    error = float(np.sqrt(weight @ residual**2 / (len(number) - 2) / spread))
-    return slope, error, mean
+    (slope, _), covariance = np.polyfit(np.log2(number), change, 1, w=np.sqrt(weight), cov=True)
+    return float(slope), float(np.sqrt(covariance[0, 0])), float(np.average(change, weights=weight))
 
 
 def contradictory_velocities(fit: InferenceResult) -> list[str]:

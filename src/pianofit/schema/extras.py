@@ -37,14 +37,14 @@ class DamperEntry:
     release_s: Number  # time of the release after the onset, s
     log_rate: Annotated[float, Meta(ge=-10.0, le=10.0)]  # logarithm of the added decay rate at partial 1, in 1/s
     slope: Annotated[float, Meta(ge=-10.0, le=10.0)]  # exponent of the rate over frequency
-    covariance: tuple[tuple[Number, Number], tuple[Number, Number]]  # of both
+    covariance: np.ndarray  # of both [2, 2]
     frequency: np.ndarray  # Hz [partials]
     rate: np.ndarray  # 1/s [partials]
     rate_error: np.ndarray  # standard errors, 1/s [partials]
 
     def __post_init__(self) -> None:
-        if not np.linalg.eigvalsh(np.array(self.covariance)).min() > 0:
-            raise ValueError("Expected a covariance with eigenvalues above 0")
+        if self.covariance.shape != (2, 2) or not np.linalg.eigvalsh(self.covariance).min() > 0:
+            raise ValueError("Expected a covariance of both, with eigenvalues above 0")
 
 
 @dataclass(frozen=True)

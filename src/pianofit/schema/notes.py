@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ..errors import FitError, ParameterError
 from ..excitation import HAMMER, OTHERS, Excitation
@@ -16,6 +15,7 @@ from ..model.simulate import check_geometry
 from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from ..transducer import TRANSDUCERS
 from .fit import HINT, Fit, Minimum, NoteFile, PathEntry, RecordingFit, fit_path, read_note_file
+from .quantities import Quantities
 
 
 def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
@@ -62,7 +62,12 @@ def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | No
     if missing := [n for n in (*needed, "L", "M_S", "x0", "width") if n not in values]:
         raise FitError(f"{where}.{missing[0]} is missing; {HINT}")
     own = {n: values[n] for n in (*needed, *(n for n in ALL_PARAMETERS if n in values))}
-    string, hammer = _string_and_hammer(own, where, law)
+    try:
+        hammer = law.make_hammer(own)
+        check_hammer(hammer, where)
+        string = String(**check({n: values[n] for n in STRING_NAMES}, where))
+    except ParameterError as error:
+        raise FitError(str(error)) from None
     on_string = TRANSDUCERS[record.pickup.quantity].on_string
     pickup = values.get("pickup", 0.0) if on_string else 0.5 * values["L"]
     geometry = Geometry(values["L"], values["M_S"], values["x0"], values["width"], pickup)
@@ -106,48 +111,29 @@ def notes_of_fit(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | None 
 
     Only the notes of the best minimum have the modal response. Errors are those of `note_of`.
     """
-    note, law = note_of(fit, folder, name, felt), law_of_fit(fit, name, felt)
-    notes = [note]
+    fits, names = [fit], [name]
     if len(fit.minima) > 1:
-        notes = [_note_of_minimum(note, m, f"{name}: minima[{i}].parameters", law) for i, m in enumerate(fit.minima)]
-    notes[1:] = (other._replace(modal_response=None) for other in notes[1:])
+        names = [f"{name}: minima[{i}]" for i in range(len(fit.minima))]
+        fits = [_at_minimum(fit, minimum, where) for minimum, where in zip(fit.minima, names, strict=True)]
+        fits[1:] = (replace(other, modal_response=None) for other in fits[1:])
+    notes = [note_of(own, folder, where, felt) for own, where in zip(fits, names, strict=True)]
     return tuple(
         tuple(_note_of_recording(fit, which, i, own, name) for i in range(len(fit.recordings)))
         for which, own in enumerate(notes)
     )
 
 
-def _note_of_minimum(note: Note, minimum: Minimum, where: str, law: Excitation) -> Note:
-    """Return `note` with string, hammer, strike position and output path of one minimum."""
-    values = {"mu": 0.0, law.stroke.name: float(note.stroke_value)} | minimum.parameters
-    try:
-        string, hammer = _string_and_hammer(values, where, law)
-        geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
-        if "pickup" in law.columns and "pickup" in values:
-            geometry = geometry._replace(pickup=values["pickup"])
-        check_geometry(geometry, note.quantity)
-    except KeyError as missing:
-        raise FitError(f"{where} lacks {missing}; {HINT}") from None
-    except ParameterError as error:
-        raise FitError(str(error)) from None
-    path = note.path
+def _at_minimum(fit: Fit, minimum: Minimum, where: str) -> Fit:
+    """Return the fit with the parameters and the output path of one minimum."""
+    path = fit.pickup.path
     if path is not None:
         db = path.db if minimum.path_db is None else minimum.path_db
         try:
-            path = PathEntry(path.frequency, db, minimum.path_velocity_discrepancy).output_path
+            path = PathEntry(path.frequency, db, minimum.path_velocity_discrepancy)
         except ValueError as error:
             raise FitError(f"{where}: path: {error}; {HINT}") from None
-    return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
-
-
-def _string_and_hammer(values: Mapping[str, float], where: str, law: Excitation) -> tuple[String, Any]:
-    """Return string and hammer with `values`, checked against their ranges."""
-    try:
-        hammer = law.make_hammer(values)
-        check_hammer(hammer, where)
-        return String(**check({name: values[name] for name in STRING_NAMES}, where)), hammer
-    except ParameterError as error:
-        raise FitError(str(error)) from None
+    own = (replace(q, value=minimum.parameters.get(q.name, q.value)) for q in fit.parameters.values())
+    return replace(fit, parameters=Quantities.of(own), pickup=replace(fit.pickup, path=path))
 
 
 def _note_of_recording(fit: Fit, which: int, index: int, note: Note, name: str) -> Note:
