@@ -25,7 +25,12 @@ def fit_dict(**values: object) -> dict:
         "M_S": 6.18e-3, "L": 1.0, "x0": 0.12, "width": 0.02, "pickup": 0.3,
     } | values  # fmt: skip
     facts = {"unit": "", "interval": None, "status": "fitted", "note": ""}
-    criterion = {"bands": {"global": {"initial": 1.0, "final": 0.1}}, "excluded_bands": [], "sigma": 30, "borders": []}
+    criterion = {
+        "bands": {"global": {"initial": 1.0, "final": 0.1}},
+        "excluded_bands": [],
+        "sigma": 30,
+        "borders": [50.0, 150.0, 850.0, 950.0],
+    }
     levels = {"initial_db": 9.0, "fitted_db": 1.0, "reference_hammer_db": None, "partials": 1}
     row = {
         "file": "a.wav", "sha256": "0" * 64, "channel": "mono", "rate": 44100, "onset_s": 0.0, "stroke_value": 0.8,

@@ -134,7 +134,7 @@ def fit_document(
     """
     s, h, g = note.string, note.hammer, note.geometry
     values = s._asdict() | h._asdict() | {"x0": g.strike_position, "width": g.width, "M_S": g.mass, "L": g.length}
-    criterion = Criterion({"global": BandValue(0.2, 0.1)}, (), 30.0, ())
+    criterion = Criterion({"global": BandValue(0.2, 0.1)}, (), 30.0, (50.0, 150.0, 850.0, 950.0))
     levels, one = LevelErrors(2.0, 1.2, None, 1), np.ones(1)
     recordings = [
         RecordingFit(

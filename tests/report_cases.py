@@ -127,7 +127,7 @@ def _fitted_recording(place, velocity, rate, seconds, count, f0, quiet, path, mo
         pole = -decay + 2j * np.pi * frequency
         response = ModalResponse(k, pole, np.full(count, 0.1), np.ones((2, count), complex), np.zeros((2, 0)), rate)
         ringing = RenderedFit(note._replace(modal_response=response), stereo.mean(axis=0), loops[1], stereo)
-    criterion, errors = Criterion({}, (), 30.0, ()), LevelErrors(9.0, 1.0, None, count)
+    criterion, errors = Criterion({}, (), 30.0, (46.0, 138.0, 790.0, 3800.0)), LevelErrors(9.0, 1.0, None, count)
     levels = PartialLevels(k, level, np.full(count, 0.3), level_initial, level_fitted)
     return FittedRecording(*sounds, recording, analysis, levels, criterion, errors, ringing)
 

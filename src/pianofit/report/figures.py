@@ -93,14 +93,11 @@ def draw_spectrum(
 
 
 def _band_edges(criterion: Criterion, end: float) -> list[Band]:
-    """Return each visible band. Bands have names if their borders match a set."""
-    excluded, borders = criterion.excluded_bands, [border for border in criterion.borders if np.isfinite(border)]
-    pairs = list(pairwise(borders)) or [(0.0, end)]
-    used = [name for name in BANDS if name not in excluded]
-    names = list(BANDS) if len(pairs) == len(BANDS) else used if len(pairs) == len(used) else [""] * len(pairs)
+    """Return each visible band."""
+    excluded = criterion.excluded_bands
     return [
-        (low, min(high, end), BANDS.get(name, "") + (", excluded" if name in excluded else ""), name in excluded)
-        for (low, high), name in zip(pairs, names, strict=True)
+        (low, min(high, end), label + (", excluded" if name in excluded else ""), name in excluded)
+        for (low, high), (name, label) in zip(pairwise(criterion.borders), BANDS.items(), strict=True)
         if low < end
     ]
 

@@ -19,7 +19,7 @@ from .text import recontact_text
 def fit_summary(result: Result) -> str:
     """Return statement, quantities with intervals, errors and warnings of a fit, as `pianofit fit` prints them."""
     fit, several = result.fit, len(result.fit.recordings) > 1
-    lines = [fit.identifiability_statement, ""] if fit.identifiability_statement else []
+    lines = [fit.identifiability_statement, ""]
     # Invariants come first, because they do not depend on assumed sizes or velocities.
     derived, levels, criterion = fit.derived, fit.levels, fit.criterion
     tables = (fit.invariants, fit.parameters, derived.quantities)

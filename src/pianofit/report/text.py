@@ -151,13 +151,12 @@ def _change(initial: float, final: float) -> str:
 
 
 def notices(fit: Fit) -> list[tuple[str, str, str]]:
-    """List (tone, heading, text) of the notices at the top: the statement, the problems, or that there are none."""
+    """List (tone, heading, text) of the notices at the top: the statement, and the problems."""
     all_measured = all(quantity.status in ("fitted", "given") for quantity in fit.parameters.values())
-    overall, notices = fit.criterion.bands["global"], []
+    overall = fit.criterion.bands["global"]
     is_worse = overall.final > overall.initial
-    if fit.identifiability_statement:
-        tone, mark = ("good", "✓") if fit.converged and all_measured and not is_worse else ("warn", "⚠")
-        notices.append((tone, f"{mark} Read this first", fit.identifiability_statement))
+    tone, mark = ("good", "✓") if fit.converged and all_measured and not is_worse else ("warn", "⚠")
+    notices = [(tone, f"{mark} Read this first", fit.identifiability_statement)]
     if not fit.converged:
         notices.append(("warn", "⚠ Not converged", NOT_CONVERGED))
     if is_worse:
@@ -169,9 +168,6 @@ def notices(fit: Fit) -> list[tuple[str, str, str]]:
                 "partials."
             )
         notices.append(("warn", "⚠ Higher criterion", text))
-    if not notices:
-        hint = "" if all_measured else " Some numbers below were not measured. The mark next to each value shows this."
-        notices.append(("good", "✓ Converged", "The search converged." + hint))
     return notices
 
 

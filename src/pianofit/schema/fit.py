@@ -123,7 +123,7 @@ class Criterion:
     bands: dict[str, BandValue]  # `global`, and those of `band1` to `band3` with a partial
     excluded_bands: tuple[str, ...]
     sigma: Number  # damping, 1/s
-    borders: tuple[Number, ...]  # Hz
+    borders: Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]  # of the three bands, Hz
 
 
 @dataclass(frozen=True)
