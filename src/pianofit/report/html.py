@@ -15,7 +15,7 @@ import base64
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from typing import Any
 from xml.etree import ElementTree
@@ -42,6 +42,7 @@ def page_bytes(
     package: str = KIT,
     styles: tuple[str, ...] = (),
     scripts: tuple[str, ...] = (),
+    filters: dict[str, Callable] | None = None,
     title: str,
     contents: bool = False,
     **content: Any,
@@ -54,6 +55,7 @@ def page_bytes(
     template : a file of `package` that extends `kit.html.j2`.
     contents : whether the page has a table of contents, made of all headings with an id.
     styles, scripts : names of files. The styles follow `page.css`. The scripts are joined to one.
+    filters : additional filters of the template.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
@@ -65,7 +67,7 @@ def page_bytes(
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall}
+    environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
     html = environment.get_template(template).render(
         title=title,
         contents=contents,
