@@ -126,6 +126,15 @@ def test_missing_levels_and_initial_values_are_named(made):
         back.plot.force()
 
 
+def test_a_minimum_without_a_parameter_is_refused(made):
+    _, folder = made
+    document = json.loads((folder / "fit.json").read_text())
+    best = document["minima"][0]
+    other = best | {"parameters": {name: x for name, x in best["parameters"].items() if name != "c"}}
+    with pytest.raises(FitError, match=r"minima\[1\]\.parameters\.c is missing"):
+        pianofit.Result.load(copied(folder, "lacking", document | {"minima": [best, other]}))
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -1,7 +1,7 @@
 """Posterior draws by name, with the likelihood of every observation, and their file next to `fit.json`.
 
-The file is an uncompressed NumPy archive. NumPy's own reader of archives is not used, because it allocates any array
-size that a header states.
+The file is an uncompressed NumPy archive. NumPy's own reader is not used: it passes headers to Python's parser and
+allocates any array size that a header states.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import re
+import struct
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -28,6 +30,21 @@ DRAWS_FILE = "draws.npz"
 # Upper limits of the file in bytes and in arrays: 2000 draws of 16,000 observations, and more names than a fit has.
 LARGEST_DRAWS, MOST_ARRAYS = 2**28, 4096
 _HINT = "delete it to read the fit without its draws, or fit again"
+# Array header as NumPy writes it, for the two stored number types.
+HEADER = re.compile(rb"\{'descr': '(<f8|<i8)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
+# Exceptions that the standard library's zip reader raises for a damaged archive.
+BROKEN = (
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+)
+MAGIC = b"\x93NUMPY\x01\x00"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,7 +152,7 @@ def read_draws(entry: DrawsFile | None, folder: Path) -> Draws | None:
         raise FitError(f"{printable(path)}: is not the file that was saved with this fit (SHA-256); {_HINT}")
     try:
         return _draws(_tables(data))
-    except Exception as problem:  # the zip reader of the standard library raises eight kinds
+    except BROKEN as problem:
         reason = printable(problem) or type(problem).__name__
         raise FitError(f"{printable(path)}: does not hold draws ({reason}); {_HINT}") from None
 
@@ -173,12 +190,13 @@ def _tables(data: bytes) -> dict[str, dict[str, np.ndarray]]:
 
 
 def _array(content: bytes) -> np.ndarray:
-    """Decode an array of float64 or int64, after a comparison of its size with that of its header."""
-    stream = io.BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    shape, is_fortran, kind = np.lib.format.read_array_header_1_0(stream)
-    if version != (1, 0) or is_fortran or kind.str not in ("<f8", "<i8"):
+    """Decode an array; its header must be exactly as NumPy writes it."""
+    begin = len(MAGIC) + 2
+    end = begin + int.from_bytes(content[len(MAGIC) : begin], "little")
+    header = HEADER.fullmatch(content[begin:end])
+    if content[: len(MAGIC)] != MAGIC or not header:
         raise ValueError("the header of an array is not one of NumPy for float64 or int64")
-    if 8 * math.prod(shape) != len(content) - stream.tell():
+    shape = tuple(int(n) for n in header[2].split(b",") if n.strip())
+    if 8 * math.prod(shape) != len(content) - end:
         raise ValueError("the size of an array differs from its header")
-    return np.frombuffer(content, kind, offset=stream.tell()).reshape(shape)
+    return np.frombuffer(content, header[1].decode(), offset=end).reshape(shape)

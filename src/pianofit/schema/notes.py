@@ -125,6 +125,8 @@ def notes_of_fit(fit: Fit, folder: Path | None, name: str, felt: FeltLaw | None 
 
 def _at_minimum(fit: Fit, minimum: Minimum, where: str) -> Fit:
     """Return the fit with the parameters and the output path of one minimum."""
+    if lacking := fit.minima[0].parameters.keys() - minimum.parameters.keys():
+        raise FitError(f"{where}.parameters.{min(lacking)} is missing; {HINT}")
     path = fit.pickup.path
     if path is not None:
         db = path.db if minimum.path_db is None else minimum.path_db
