@@ -151,7 +151,8 @@ def _frequencies(fits: _Fits, centre: np.ndarray, use_full: np.ndarray) -> tuple
     frequency, error = centre + offset / (2 * np.pi), error / (2 * np.pi)
     # A short partial is the same in all windows. A beating component changes the phase by ± its relative amplitude.
     single = np.where(fits.lasts, _beyond_noise(fits.middle, fits.full, np.imag), 0.0) / (2 * np.pi)
-    single = np.hypot(single, fits.beat / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
+    slow = np.minimum(fits.beat, _DEEP * np.sqrt(2) / DB)  # deeper beats are resolved, or are in the misfit
+    single = np.hypot(single, slow / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
     single = np.hypot(single, error * np.sqrt(excess))
     sd = _at_least_neighbours(np.where(components.valid, _COMPONENTS * (components.frequency - frequency), single))
     error = np.hypot(error, _FREQUENCY_FLOOR * frequency)
