@@ -11,8 +11,8 @@ from instrument_cases import record_key, true_note
 
 from pianofit import Result, Setup, fit, load_keys, prior_of_key
 from pianofit.analysis.note_names import midi_to_note
-from pianofit.instrument.key_quantities import LAW_QUANTITIES, key_quantities
-from pianofit.instrument.predicted_key import NAMES, _at_scale
+from pianofit.instrument.key_quantities import LAW_QUANTITIES, at_scale, key_quantities
+from pianofit.instrument.predicted_key import NAMES
 from pianofit.model.note import Note
 
 # Few partials in the treble leave much to the prior.
@@ -25,7 +25,7 @@ def quantities(note: Note, midi: int, velocity: float) -> dict[str, float]:
     """Quantities of a note on the scales of their laws, on the true scale of the velocities."""
     values = key_quantities(note, midi) | {"level": 0.0}
     scaled = np.array([LAW_QUANTITIES[name].scaled(values[name]) for name in NAMES])
-    return dict(zip(NAMES, _at_scale(scaled, midi, VELOCITY / velocity), strict=True))
+    return dict(zip(NAMES, at_scale(scaled, midi, VELOCITY / velocity), strict=True))
 
 
 def errors(results: dict[int, Result]) -> np.ndarray:

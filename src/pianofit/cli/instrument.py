@@ -136,10 +136,12 @@ def page(
     from ..instrument import load_instrument
     from ..web import write_playable_page
 
-    own = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
-    out = own if out is None else out
-    check_target(out, force, ".html", ".htm")
+    if out is not None:
+        check_target(out, force, ".html", ".htm")
     loaded = load_instrument(built, prefix, even)
+    if out is None:
+        out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
+        check_target(out, force)
     written = write_playable_page(out, loaded, recordings)
     info = {
         "file": str(out),

@@ -21,12 +21,10 @@ from ..schema.quantities import Covariance
 def notes_of(fit: InferenceResult, which: int) -> list[Note]:
     """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
     problem, z, latent = fit.problem, fit.estimate.minima.candidates.theta[which], fit.latent(which)
-    layout, f0, notes = problem.structure, problem.analyses[problem.reference].f0, []
+    layout = problem.structure
     paths = [_path(problem, z, i, latent) if problem.has_unknown_path else None for i in range(layout.groups)]
-    for analysis, stroke, group in zip(problem.analyses, layout.stroke, layout.group, strict=True):
-        note = note_at(problem, z, stroke, paths[group])
-        notes.append(note._replace(string=note.string._replace(c=note.string.c * analysis.f0 / f0)))
-    return notes
+    strokes = zip(problem.observed.pitch.tolist(), layout.stroke, layout.group, strict=True)
+    return [note_at(problem, z, stroke, paths[group]).with_cents(cents) for cents, stroke, group in strokes]
 
 
 def note_at(problem: FitProblem, z: np.ndarray, stroke: int, path: OutputPath | None = None) -> Note:
