@@ -25,6 +25,7 @@ USES = {
     "progress": "",
     "threads": "",
     "program_folder": "",
+    "complex_step": "",
     "conversions": "",
     "deferred": "",
     "errors": "",
@@ -43,19 +44,19 @@ USES = {
     "model": "deferred dsp excitation felt io parameters transducer x64",
     "setup": "excitation felt io key_prior parameters transducer",
     "schema": "excitation felt io key_prior model parameters transducer",
-    "inference": "analysis excitation felt io key_prior literature model parameters progress recording setup sobol"
-    " threads transducer x64",
+    "inference": "analysis complex_step excitation felt io key_prior literature model parameters progress recording"
+    " setup sobol threads transducer x64",
     "synthetic": "felt io literature model parameters recording setup transducer",
-    "result": "analysis criterion deferred dsp excitation felt inference io literature model parameters progress"
-    " recording schema setup sobol threads transducer",
+    "result": "analysis complex_step criterion deferred dsp excitation felt inference io literature model parameters"
+    " progress recording schema setup sobol threads transducer",
     "modal_response": "analysis dsp model recording result schema threads",
     "fitting": "analysis inference modal_response parameters progress recording result setup threads",
     "report": "analysis dsp excitation felt io modal_response model result schema",
     "bensa2005": "analysis criterion dsp felt fitting inference model parameters progress recording result"
     " schema setup",
     "batch": "analysis fitting instrument io parameters program_folder recording report schema threads",
-    "instrument": "analysis dsp excitation felt io key_prior literature model parameters report schema threads"
-    " transducer",
+    "instrument": "analysis complex_step dsp excitation felt io key_prior literature model parameters report schema"
+    " threads transducer",
     "listening": "io recording report schema",
     "dataset": "analysis batch felt inference instrument io literature model parameters program_folder progress schema"
     " threads",

@@ -27,8 +27,6 @@ from ..parameters import PARAMETERS, STRING_NAMES, Geometry, Parameter, check
 COMMON_PARAMETERS = ("M_H", "v_H0")
 # Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.
 RESERVED_NAMES = {*STRING_NAMES, *COMMON_PARAMETERS, *GEOMETRY_FIELDS}
-# Imaginary step of a derivative that is exact to rounding.
-IMAGINARY = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +174,3 @@ def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[s
     powers = {"s/m": -1, "m": 1}
     scaled |= {n: values[n] * s ** powers[own.unit] for n, own in law.parameters.items() if own.unit in powers}
     return {**values, **scaled}
-
-
-def slope_by_entry(function: Callable[[np.ndarray], Any], at: np.ndarray, i: int) -> np.ndarray:
-    """Derivative of `function` by entry `i` of `at` [..., size]: the imaginary part of one function value."""
-    return np.imag(function(at + 1j * IMAGINARY * np.eye(at.shape[-1])[i])) / IMAGINARY

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..complex_step import slope_by_entry
 from ..excitation import Excitation
-from ..felt.law import slope_by_entry
 from ..key_prior import INVARIANTS, KeyPrior
 from .parametrisation import Parametrisation, names_of
 

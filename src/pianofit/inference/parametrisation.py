@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..complex_step import slope_by_entry
 from ..excitation import GEOMETRY_FIELDS, Excitation
 from ..felt import ALL_PARAMETERS
-from ..felt.law import slope_by_entry
 from ..parameters import STRING_NAMES, Geometry, String
 
 if TYPE_CHECKING:

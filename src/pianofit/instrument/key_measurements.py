@@ -13,11 +13,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..complex_step import slope_by_entry
 from ..conversions import CENTS
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS, SoftHammer, law_of
-from ..felt.law import scale_velocity, slope_by_entry
+from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
 from ..key_prior import INVARIANTS, KeyPrior
 from ..model.note import Note

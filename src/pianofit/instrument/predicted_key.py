@@ -16,10 +16,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..analysis.note_names import midi_to_note
+from ..complex_step import slope_by_entry
 from ..conversions import CENTS, hertz_of
 from ..errors import ParameterError
 from ..felt import FeltLaw
-from ..felt.law import slope_by_entry
 from ..key_prior import PRIOR_QUANTITIES, KeyPrior
 from .build import reference_values
 from .collect_fits import KeyFit

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from ..complex_step import slope_by_entry
 from ..errors import FitError
 from ..excitation import Excitation
 from ..felt import ALL_PARAMETERS
-from ..felt.law import slope_by_entry
 from ..inference import Posterior
 from ..schema.fit import Fit, Minimum
 from ..sobol import sobol_points
