@@ -102,8 +102,23 @@ def state(page):
     return page.evaluate("window.pianofitPlayer.state")
 
 
-def wait_until(page, position):
-    page.wait_for_function("at => window.pianofitPlayer.state.position >= at", arg=position, polling=10)
+# Let a player play on to a position, s, and stop its clock there.
+PLAY_TO = """([name, position]) => {
+  const player = window.pianofitPlayers.find((one) => one.root.id === name);
+  const reached = player.state.position >= position;
+  if (reached) player.context.suspend(); else player.context.resume();
+  return reached;
+}"""
+
+
+def play_to(page, position, player="note"):
+    """Play on to a position, s, and stop the clock, so that a slow machine reaches no later position or the end."""
+    page.wait_for_function(PLAY_TO, arg=[player, position], polling=10)
+
+
+def let_run(page):
+    """Start the clock of the first player again."""
+    page.evaluate("window.pianofitPlayer.context.resume()")
 
 
 def captured(page):
@@ -173,7 +188,7 @@ def test_each_sound_is_played_as_it_is_and_equally_loud(page, report):
     for key, name in enumerate(NAMES, start=1):
         page.keyboard.press(str(key))
         page.keyboard.press("Space")
-        wait_until(page, 1.4)
+        play_to(page, 1.4)
         played = captured(page)
         at, difference = locate(played[-9000:], report[1][name])
         assert difference < 1e-6, name  # the 16-bit samples as float32
@@ -187,10 +202,10 @@ def test_each_sound_is_played_as_it_is_and_equally_loud(page, report):
 
 def test_switching_in_mid_play_goes_on_from_the_same_place(page, report):
     page.keyboard.press("Space")
-    wait_until(page, 0.8)
+    play_to(page, 0.8)
     page.keyboard.press("3")
     switched = state(page)["position"]
-    wait_until(page, switched + 0.5)
+    play_to(page, switched + 0.5)
     played = captured(page)
     original, fitted = report[1]["original"], report[1]["fitted"]
     at, difference = locate(played[-3000:], fitted)
@@ -256,17 +271,19 @@ def test_pause_keeps_the_place_and_the_end_returns_to_the_start(page, report):
     page.keyboard.press("3")
     page.evaluate("window.pianofitPlayer.seek(3.0)")
     page.get_by_role("button", name="Play").click()
-    wait_until(page, 3.3)
+    play_to(page, 3.3)
     page.get_by_role("button", name="Pause").click()
     place = state(page)["position"]
+    let_run(page)
     page.wait_for_timeout(150)
     assert state(page)["position"] == place
     assert not captured(page)[-512:].any()
     page.keyboard.press("Space")  # the button has the focus; the key must act once
     assert state(page)["playing"]
-    wait_until(page, place + 0.2)
+    play_to(page, place + 0.2)
     _, difference = locate(captured(page)[-1500:], report[1]["fitted"][round(place * RATE) :])
     assert difference < 1e-6
+    let_run(page)
     page.evaluate("window.pianofitPlayer.seek(4.8)")
     page.wait_for_function("() => !window.pianofitPlayer.state.playing")
     assert state(page)["position"] == 0
@@ -304,13 +321,6 @@ def states(page):
     return page.evaluate("Object.fromEntries(window.pianofitPlayers.map((one) => [one.root.id, one.state]))")
 
 
-def wait_for(page, player, position):
-    page.wait_for_function(
-        "([name, at]) => window.pianofitPlayers.find((one) => one.root.id === name).state.position >= at",
-        arg=[player, position], polling=10,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("width", [1280, 400])
 def test_page_of_recordings_fits_and_shows_all_its_pictures(recordings_page, width):
     recordings_page.set_viewport_size({"width": width, "height": 800})
@@ -332,11 +342,11 @@ def test_slider_strikes_the_velocity_it_is_moved_to(recordings_page, report_of_r
     assert (slider.input_value(), slider.get_attribute("aria-valuetext")) == ("6", "3.2 m/s")
     recordings_page.keyboard.press("Home")
     recordings_page.keyboard.press("ArrowRight")
-    wait_for(recordings_page, "strokes", 1.0)
+    play_to(recordings_page, 1.0, "strokes")
     assert states(recordings_page)["strokes"] | {"position": 0} == {"playing": True, "chosen": names[1], "position": 0}
     assert slider.get_attribute("aria-valuetext") == names[1] == recordings_page.locator(".velocity").inner_text()
     played = captured(recordings_page)
-    recordings_page.keyboard.press("Space")  # before the sound ends by itself
+    recordings_page.keyboard.press("Space")
     assert not states(recordings_page)["strokes"]["playing"]
     assert recordings_page.locator("#strokes .said").inner_text() == "Paused"
     at, difference = locate(played[-6000:], sounds[names[1]])
@@ -356,7 +366,7 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
     assert states(recordings_page)["note"]["playing"]
     recordings_page.evaluate(LISTEN, 3)
     recordings_page.get_by_label("Player: recording 3").get_by_role("button", name="Play").click()
-    wait_for(recordings_page, "recording-3", 1.0)
+    play_to(recordings_page, 1.0, "recording-3")
     now = states(recordings_page)
     assert {name: one["playing"] for name, one in now.items()} == {
         "note": False, "strokes": False, "recording-2": False, "recording-3": True,
@@ -368,7 +378,7 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
     recordings_page.keyboard.press("1")  # keys go to the player last used
     now = states(recordings_page)
     assert (now["recording-3"]["chosen"], now["note"]["chosen"]) == ("original", "original")
-    wait_for(recordings_page, "recording-3", now["recording-3"]["position"] + 0.5)
+    play_to(recordings_page, now["recording-3"]["position"] + 0.5, "recording-3")
     _, difference = locate(captured(recordings_page)[-2000:], sounds["original"])
     assert difference < 1e-6
     recordings_page.keyboard.press("3")  # it has no third sound
@@ -403,7 +413,7 @@ def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of
     page.keyboard.press("2")
     page.keyboard.press("Space")
     assert page.get_by_role("status").inner_text() == "Playing fitted"
-    wait_until(page, 1.0)
+    play_to(page, 1.0)
     fitted = sounds_of(report_of_ringing, "note")["fitted"]
     assert fitted.shape[1] == 2
     # An analyser captures the mean of the channels.
