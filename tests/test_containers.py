@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import soundfile as sf
 from bad_files import RATE, encoded, note
 
 from pianofit.analysis import analyse
 from pianofit.errors import RecordingError
 from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, layout_of
-from pianofit.io.containers import SOUNDS, audio_of, is_sound
+from pianofit.io.containers import SOUNDS, _mp3_header, audio_of, is_sound
 from pianofit.recording.recording import load_recording, recording_from_samples
 from pianofit.result.warnings import mixed_format_warnings
 
@@ -89,6 +91,31 @@ def test_tags_around_an_mp3_are_not_sound():
     tagged = tag + data + b"TAG" + bytes(125)
     assert audio_of(tagged) == audio_of(data)
     assert np.array_equal(decode(tagged)[0], decode(data)[0])
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize(("rate", "channels"), [(44_100, 1), (44_100, 2), (22_050, 1), (8_000, 2)])
+def test_an_mp3_of_variable_bit_rate_without_a_xing_header_is_read_to_its_end(rate, channels, reverse):
+    """libsndfile would extrapolate its length from the first frame, whether that is large or small."""
+    n = 3 * rate
+    tone = 0.3 * np.sin(2 * np.pi * 440.0 / rate * np.arange(n)) * np.exp(-np.arange(n) / rate)
+    noise = 0.2 * np.random.default_rng(0).standard_normal(n) * (np.arange(n) < rate)
+    samples = np.stack([(tone + noise)[:: -1 if reverse else 1]] * channels, axis=1)
+    stream = io.BytesIO()
+    kind = {"format": "MP3", "subtype": "MPEG_LAYER_III", "bitrate_mode": "VARIABLE", "compression_level": 0.3}
+    with sf.SoundFile(stream, "w", rate, channels, **kind) as file:
+        file.write(samples)
+    data = stream.getvalue()
+    expected, _, _ = decode(data)
+    size, *_ = _mp3_header(data, 0) or (0,)
+    headless = data[size:]
+    decoded, found, _ = decode(headless)
+    assert found == rate
+    assert n <= len(decoded) <= n + 5 * 1152
+    best = min(range(3000), key=lambda at: np.abs(decoded[at : at + rate // 2] - expected[: rate // 2]).max())
+    assert np.abs(decoded[best : best + n - 3000] - expected[: n - 3000]).max() < 1e-6
+    with pytest.raises(RecordingError, match="truncated"):
+        audio_of(headless[:-3])
 
 
 def test_damage_within_an_mp3_is_refused_and_nothing_is_printed(capfd):

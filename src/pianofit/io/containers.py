@@ -74,6 +74,7 @@ MP3_KBITS = (
     (0, 8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160),
 )
 MP3_RATES = (44_100, 48_000, 32_000)
+MP3_XING_KBITS = 9  # index of the bit rate of an added Xing frame
 
 
 class Chunks(NamedTuple):
@@ -316,7 +317,7 @@ def _check_ogg_codec(packet: bytes) -> None:
 
 
 def _mp3(data: bytes) -> bytes:
-    """Check MPEG layer III: complete frames, and as many as a Xing header states."""
+    """Check MPEG layer III: complete frames, and as many as a Xing header states. Without this header, add one."""
     first = _after_id3(data)
     position, count, sound = first, 0, None
     while header := _mp3_header(data, position):
@@ -331,7 +332,10 @@ def _mp3(data: bytes) -> bytes:
     if sound is None or not (tail[:3] in (b"TAG", b"ID3") or tail[:8] == b"APETAGEX" or not tail.strip(b"\0")):
         raise RecordingError(f"is a damaged MP3 file: no frame of layer III begins at byte {position}; {RESAVE}")
     check_layout(sound[1], sound[0], 1)
-    if (stated := _xing_frames(data, first)) > count - 1:
+    stated = _xing_frames(data, first)
+    if stated is None:  # libsndfile would extrapolate the length from the first frame, and read no further
+        return _xing_frame(data[first : first + 4], count) + data[first:position]
+    if stated > count - 1:
         raise RecordingError(f"is truncated: it holds {count - 1} of {stated} MP3 frames; copy it again")
     return data[first:position]
 
@@ -360,13 +364,21 @@ def _mp3_header(data: bytes, at: int) -> tuple[int, int, int, int] | None:
     return size, hertz, channels, {(3, 2): 32, (3, 1): 17, (2, 2): 17, (2, 1): 9}[3 if version == 3 else 2, channels]
 
 
-def _xing_frames(data: bytes, first: int) -> int:
-    """The number of frames stated by a Xing or Info header in the first frame; 0 without one."""
+def _xing_frames(data: bytes, first: int) -> int | None:
+    """The number of frames stated by a Xing or Info header in the first frame; None without one."""
     header = _mp3_header(data, first)
     at = first + 4 + header[3] if header else 0
     if data[at : at + 4] not in (b"Xing", b"Info") or not data[at + 7 : at + 8] or not data[at + 7] & 1:
-        return 0
+        return None
     return int.from_bytes(data[at + 8 : at + 12], "big")
+
+
+def _xing_frame(head: bytes, count: int) -> bytes:
+    """A first frame that states `count` frames, of the version, rate and channels of the four bytes of `head`."""
+    # Without a checksum, and of 128 or 80 kbit/s: large enough for the header at all rates.
+    head = bytes([head[0], head[1] | 1, MP3_XING_KBITS << 4 | head[2] & 0x0C, head[3]])
+    size, _, _, side = _mp3_header(head, 0) or (0, 0, 0, 0)
+    return (head + bytes(side) + b"Xing" + struct.pack(">II", 1, count)).ljust(size, b"\0")
 
 
 def _guess(data: bytes) -> str:
