@@ -14,7 +14,9 @@ import pytest
 import pianofit
 from pianofit import FeltLaw, FitError, Note, Parameter, ParameterError, Setup, SetupError, bensa2005
 from pianofit.felt import LAWS
+from pianofit.felt.law import scale_velocity
 from pianofit.felt.relaxing import STULOV, force, storage
+from pianofit.result.derived import scale_mass
 
 # A felt with loss that hardens more than a power law.
 FOAM = FeltLaw(
@@ -128,6 +130,32 @@ def test_what_scales_with_lengths_and_masses_follows_from_the_units():
     found = {name: law.parameters_with_unit("N m") for name, law in LAWS.items()}
     soft = ("K_H", "mu", "skin")
     assert found == {"hunt-crossley": ("K_H", "mu"), "power": ("K_H",), "soft-skin": soft, "stulov": ("K_H",)}
+
+
+# Parameters whose units have lengths and forces in numerator and denominator.
+FUR = FeltLaw(
+    "fur",
+    {
+        "K": Parameter("N/m^p", "stiffness", 1e3, 1e15),
+        "p": Parameter("1", "exponent", 1.0, 5.0),
+        "a": Parameter("1/m", "rise of the stiffness", 1.0, 1e5),
+        "w0": Parameter("m/s", "speed at which the loss doubles the force", 1e-2, 1e3),
+        "y": Parameter("m²/N^2", "compliance squared", 1e-15, 1.0),
+    },
+    lambda u, w, felt: felt.K * u**felt.p * (1 + felt.a * u) * (1 + w / felt.w0) + u / felt.y**0.5,
+    power=("K", "p"),
+)
+
+
+@pytest.mark.parametrize("scale", [scale_velocity, scale_mass])
+def test_a_law_scales_as_its_units_say_and_the_contact_lasts_as_long(scale):
+    before = {"K": 4e8, "p": 2.5, "a": 800.0, "w0": 20.0, "y": 1e-9, "M_H": PRESET.hammer.M_H, "v_H0": 1.5}
+    after = scale({**before, "M_S": PRESET.geometry.mass}, FUR, 1.7)
+    geometry = PRESET.geometry._replace(mass=after.pop("M_S"))
+    assert after["y"] == pytest.approx(before["y"] * (1.0 if scale is scale_velocity else 1.7**-2))
+    first = pianofit.simulate(PRESET.string, FUR.hammer(**before), PRESET.geometry)
+    second = pianofit.simulate(PRESET.string, FUR.hammer(**after), geometry)
+    np.testing.assert_allclose(second.pulse.force, 1.7 * np.asarray(first.pulse.force), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -161,12 +161,16 @@ class Excitation:
         pattern = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
         return tuple(name for name, parameter in self.parameters.items() if pattern.search(parameter.unit))
 
-    def force_exponent(self, name: str) -> float:
-        """Return the exponent with which a parameter scales with forces and masses: that of N and kg in its unit."""
-        upper, *lower = self.parameters[name].unit.split("/")
-        pattern = r"(?<![A-Za-z])(?:N|kg)(?:\^(-?[\d.]+))?(?![A-Za-z^])"
+    def unit_exponent(self, name: str, units: str) -> float:
+        """Return the exponent of one of `units`, such as "N kg", in the unit of a parameter; of several their sum."""
+        upper, *lower = self.parameters[name].unit.replace("²", "^2").replace("³", "^3").split("/")
+        pattern = rf"(?<![A-Za-z])(?:{'|'.join(units.split())})(?:\^(-?[\d.]+))?(?![A-Za-z^])"
         total = sum(float(x or 1) for x in re.findall(pattern, upper))
         return total - sum(float(x or 1) for x in re.findall(pattern, "/".join(lower)))
+
+    def force_exponent(self, name: str) -> float:
+        """Return the exponent with which a parameter scales with forces and masses: that of N and kg in its unit."""
+        return self.unit_exponent(name, "N kg")
 
     def log_power(self, u: Any, values: Mapping[str, Any], xp: Any = np) -> Any:
         """Return log F - log K = p log g, F the static force at compression `u`, m, of a felt with these `values`.

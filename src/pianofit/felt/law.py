@@ -165,12 +165,10 @@ class FeltLaw(Excitation):
 
 
 def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:
-    """Return values with all velocities times `s`; only a felt law with a power has this scaling."""
+    """Return values with all velocities times `s`, and so forces and compressions; only a law with a power has it."""
     scaled = {name: value * s for name, value in values.items() if name.startswith("v_H0")}
     if law.power is None:
         return {**values}
-    stiffness, exponent = law.power
-    scaled[stiffness] = values[stiffness] * s ** (1 - values[exponent])
-    powers = {"s/m": -1, "m": 1}
-    scaled |= {n: values[n] * s ** powers[own.unit] for n, own in law.parameters.items() if own.unit in powers}
-    return {**values, **scaled}
+    scaled |= {name: values[name] * s ** law.unit_exponent(name, "N m") for name in law.parameters}
+    stiffness, exponent = law.power  # its unit has a length to the power of a parameter
+    return {**values, **scaled, stiffness: values[stiffness] * s ** (1 - values[exponent])}

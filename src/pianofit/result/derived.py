@@ -266,8 +266,8 @@ def _log_sd(span: tuple[float, float]) -> float:
 
 def scale_mass(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:
     """Return values with all masses times `s`."""
-    names = (*law.parameters_with_unit("N"), "M_H", "M_S")
-    return {**values, **{name: values[name] * s for name in names if name in values}}
+    powers = {**{name: law.force_exponent(name) for name in law.parameters}, "M_H": 1, "M_S": 1}
+    return {**values, **{name: values[name] * s**power for name, power in powers.items() if power and name in values}}
 
 
 def scale_length(values: Mapping[str, Any], _: Excitation, s: Any) -> dict[str, Any]:
