@@ -50,7 +50,7 @@ def picture(result: Result) -> bytes:
         attack.set(title="Attack", xlabel="time from the onset (ms)")
         draw_levels(levels, result.fit.reference.partials)
         levels.set(title="Levels of the partials", xlabel="partial number")
-        draw_loop(loop, contact_of(result)[1])
+        draw_loop(loop, contact_of(result))
         loop.set(title="Felt: force over compression")
         legend(figure, attack)
         figure.set_dpi(100)

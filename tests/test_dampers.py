@@ -94,6 +94,13 @@ def test_a_damper_is_the_same_at_another_gain_and_with_leading_silence():
     assert other.slope == pytest.approx(one.slope, abs=0.5 * np.sqrt(one.covariance[1, 1]))
 
 
+def test_a_recording_of_few_periods_is_too_short():
+    it = pianofit.typical("C2")
+    sound = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", 1.0).render(seconds=0.14)
+    with pytest.raises(pianofit.AnalysisError, match=r"too short for a note of 65\.\d Hz"):
+        fit_damper((sound, RATE), "C2")
+
+
 def test_a_note_that_rings_on_has_no_damper():
     preset = pianofit.typical(60)
     wave = pianofit.simulate(preset.string, preset.hammer, preset.geometry, quantity="bridge-force").waveform(

@@ -137,11 +137,20 @@ def test_a_figure_is_drawn_on_new_axes_or_on_given_ones(name):
     plt.close("all")
 
 
-def test_the_figures_show_this_fit():
+def test_the_figures_show_this_fit(monkeypatch):
     plt = pytest.importorskip("matplotlib.pyplot")
     plt.switch_backend("Agg")
     force = {line.get_label(): line for line in result().plot.force().lines}["fitted"].get_ydata()
     assert np.nanmax(force) == pytest.approx(result().fit.derived.quantities.peak_force.value)
+    # Each contact ends where it does in its stroke, also if the strokes have different time steps.
+    presets = {"initial": pianofit.typical("C2"), "fitted": pianofit.typical("C7")}
+    strokes = {name: pianofit.simulate(it.string, it.hammer, it.geometry) for name, it in presets.items()}
+    assert float(strokes["initial"].modes.step) != float(strokes["fitted"].modes.step)
+    monkeypatch.setattr("pianofit.report.figures._strokes", lambda _: strokes)
+    for line in result().plot.force().lines:
+        stroke = strokes[line.get_label()]
+        last = line.get_xdata()[line.get_ydata() > 0][-1]
+        assert last == pytest.approx(1e3 * stroke.last_touch, abs=1e3 * float(stroke.modes.step))
     levels = {line.get_label(): line for line in result().plot.levels().lines}["fitted"].get_ydata()
     np.testing.assert_array_equal(levels, result().reference.compared.fitted)
     assert {text.get_text() for text in result().plot.spectrum().get_legend().get_texts()} == {

@@ -19,7 +19,7 @@ from .measure_knock import measure_knock
 from .note_names import hz_to_note, midi_to_note, note_to_midi
 from .numbering import number_partials
 from .partials import LEAST_SNR, measure_partials
-from .pitch import find_pitch
+from .pitch import check_length, find_pitch
 from .second_stroke import detect_second_stroke
 from .spectrum import highest_partial, noise_between
 from .warnings import analysis_warnings
@@ -58,16 +58,11 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     recording = to_recording(recording)
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: 20 * rate]  # the end adds no information
-    seconds = len(samples) / rate
     try:
         rough_f0, rough_B = find_pitch(samples, rate, note=note, f0=f0)
+        check_length(len(samples) / rate, rough_f0)
     except AnalysisError as error:
         raise type(error)("; ".join((f"{recording.path}: {error}", *recording.warnings))) from None
-    if seconds * rough_f0 < 10:
-        raise AnalysisError(
-            f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "
-            f"give {10 / rough_f0:.2f} s or more"
-        )
     number, frequency, law = number_partials(samples, rate, rough_f0, rough_B)
     _check_partials(recording.path, number, law, note, f0)
     return _measure_all(recording, samples, number, frequency, law, note)

@@ -24,7 +24,7 @@ from ..recording.recording import Source, to_recording
 from .envelope_slopes import CLEAR
 from .note_names import note_to_hz
 from .numbering import number_partials
-from .pitch import find_pitch
+from .pitch import check_length, find_pitch
 from .spectrum import noise_between
 
 WIDEST = 100.0  # Hz, largest width of a band
@@ -116,8 +116,9 @@ def fit_damper(recording: Source, note: str) -> DamperFit:
 def _bands(samples: np.ndarray, rate: int, note: str) -> tuple[Bands, np.ndarray, float]:
     """Bands of the partials, the noise variance of their frames [partials], and the lowest partial, Hz."""
     f0, B = find_pitch(samples, rate, note=note)
+    check_length(len(samples) / rate, f0)
     number, frequency, law = number_partials(samples, rate, f0, B)
-    if len(number) < FEWEST_PARTIALS or len(samples) / rate * f0 < 10:
+    if len(number) < FEWEST_PARTIALS:
         raise AnalysisError(f"only {len(number)} partials of {note} ({note_to_hz(note):.1f} Hz); check the note")
     bands = kaiser_bands(samples, rate, frequency, min(0.97 * law.f0, WIDEST), 0.005)
     expected = law(np.arange(1, int(number.max()) + 6))

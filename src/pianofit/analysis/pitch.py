@@ -19,6 +19,7 @@ LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = np.arange(1, 17)  # numbers of the partials of a comb
 _FULL_EVIDENCE = 30.0  # dB above the floor, above which the evidence of a peak does not grow
 _TOLERANCE = 0.04  # spacings of a comb's teeth, within which a peak belongs to a tooth
+LEAST_PERIODS = 10  # in a recording: its partials must be separate
 CLEAR = 10.0  # dB above the floor, of a peak that is hardly noise
 _FAINT = 0.05  # score of a given note, below which it is too faint
 _RIVAL = 1.4  # factor by which the score of another pitch must be larger to reject a given note
@@ -105,6 +106,15 @@ def check_pitch(frequency: float, name: str) -> None:
     """Raise an `AnalysisError` about `name` if `frequency` (Hz) is outside the range of a piano."""
     if not LOWEST * 0.9 <= frequency <= HIGHEST * 1.1:
         raise AnalysisError(f"{name} is outside the range of a piano; give one from {LOWEST:g} to {HIGHEST:g} Hz")
+
+
+def check_length(seconds: float, f0: float) -> None:
+    """Raise an `AnalysisError` if the sound after the onset is shorter than `LEAST_PERIODS` of f0, Hz."""
+    if seconds * f0 < LEAST_PERIODS:
+        raise AnalysisError(
+            f"{seconds:.2f} s after the onset is too short for a note of {f0:.1f} Hz; "
+            f"give {LEAST_PERIODS / f0:.2f} s or more"
+        )
 
 
 def find_pitch(

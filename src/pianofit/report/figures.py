@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -169,7 +169,7 @@ def _draw_frequencies(cents: Axes, residual: Axes, result: Result) -> None:
     partials, f0, B = result.analysis.partials, result.fit.derived.f0, result.fit.derived.B
     k = partials.number
     measured, fitted = (1200 * np.log2(f / (k * f0)) for f in (partials.frequency, law_frequency(f0, B, k)))
-    error = CENTS * partials.frequency_error / partials.frequency
+    error = CENTS * partials.total_error("frequency") / partials.frequency
     points(cents, k, measured, error)
     cents.plot(k, fitted, label="fitted string", **LINES["fitted"])
     cents.set(title="Frequency", ylabel="cents above k·f₀")
@@ -240,8 +240,8 @@ def _model_levels(levels: PartialLevels) -> list[tuple[str, str, np.ndarray]]:
 
 def draw_contact(result: Result) -> list[Panel]:
     """Draw the hammer force over time, and over the compression of the felt."""
-    ms, curves = contact_of(result)
-    return [Panel(draw_force, (ms, curves), "Force over time"), Panel(draw_loop, (curves,), "Force over compression")]
+    contacts = (contact_of(result),)
+    return [Panel(draw_force, contacts, "Force over time"), Panel(draw_loop, contacts, "Force over compression")]
 
 
 def _strokes(result: Result) -> dict[str, Simulation]:
@@ -253,39 +253,44 @@ def _strokes(result: Result) -> dict[str, Simulation]:
     return {name: note.strike(round(row.rate)) for name, note in notes.items()}
 
 
-def contact_of(result: Result) -> tuple[np.ndarray, Curves]:
-    """Return times, ms from the first contact, and compression, mm, and force, N, before and after the fit."""
+class Contact(NamedTuple):
+    """One contact of hammer and string [time]."""
+
+    ms: np.ndarray  # from the first contact
+    compression: np.ndarray  # of the felt, mm
+    force: np.ndarray  # N
+
+
+def contact_of(result: Result) -> dict[str, Contact]:
+    """Return the contact of the reference recording before and after the fit, by name."""
     strokes = _strokes(result)
-    # 10 % longer than the last contact.
-    steps = max(int(1.1 * stroke.last_touch / float(stroke.modes.step)) + 2 for stroke in strokes.values())
-
-    def padded(values: Any) -> np.ndarray:
-        values = np.asarray(values)[:steps]
-        return np.pad(values, (0, steps - len(values)), constant_values=np.nan)
-
-    curves = {
-        name: (1e3 * padded(stroke.pulse.compression), padded(stroke.pulse.force)) for name, stroke in strokes.items()
-    }
-    return 1e3 * float(strokes["fitted"].modes.step) * np.arange(steps), curves
+    # 10 % longer than the last contact. Each stroke has a time step of its own.
+    end = 1.1 * max(stroke.last_touch for stroke in strokes.values())
+    contacts = {}
+    for name, stroke in strokes.items():
+        pulse, step = stroke.pulse, float(stroke.modes.step)
+        force, compression = (np.asarray(x)[: int(end / step) + 2] for x in (pulse.force, pulse.compression))
+        contacts[name] = Contact(1e3 * step * np.arange(len(force)), 1e3 * compression, force)
+    return contacts
 
 
-def draw_force(axes: Axes, ms: np.ndarray, curves: Curves) -> None:
+def draw_force(axes: Axes, contacts: dict[str, Contact]) -> None:
     """Draw the hammer force over time before and after the fit, from `contact_of` a result."""
-    for name, (_, force) in curves.items():
-        axes.plot(ms, force, label=name, **LINES[name])
+    for name, contact in contacts.items():
+        axes.plot(contact.ms, contact.force, label=name, **LINES[name])
     axes.set(xlabel="time from the first contact (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
 
 
-def draw_loop(axes: Axes, curves: Curves) -> None:
+def draw_loop(axes: Axes, contacts: dict[str, Contact]) -> None:
     """Draw force over compression, with arrowheads for the direction, from `contact_of` a result."""
-    for name, (compression, force) in curves.items():
-        contact = np.where(compression > 0, 1.0, np.nan)
-        axes.plot(compression * contact, force * contact, label=name, **LINES[name])
+    for name, (_, compression, force) in contacts.items():
+        touches = np.where(compression > 0, 1.0, np.nan)
+        axes.plot(compression * touches, force * touches, label=name, **LINES[name])
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    axes.set_xlim(0.0, 1.05 * max(span(*(compression for compression, _ in curves.values()))[1], 1e-9))
+    axes.set_xlim(0.0, 1.05 * max(span(*(contact.compression for contact in contacts.values()))[1], 1e-9))
     axes.set_ylim(bottom=0.0)
-    for name, (compression, force) in curves.items():
+    for name, (_, compression, force) in contacts.items():
         for position, step in _arrow_positions(compression, force):
             dx, dy = axes.transData.transform(position + step) - axes.transData.transform(position)
             marker = [(float(z.real), float(z.imag)) for z in ARROW * np.exp(1j * np.arctan2(dy, dx))]

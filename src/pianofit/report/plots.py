@@ -46,7 +46,7 @@ class Plots:
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Draw the force of the hammer on the string, N over ms from the first contact, before and after the fit."""
         self._check_figure("force")
-        return drawn_on(ax, draw_force, contact_of(self.result), label)
+        return drawn_on(ax, draw_force, (contact_of(self.result),), label)
 
     def _check_figure(self, name: str) -> None:
         """Raise a `FitError` if the excitation of the fit does not have a figure."""
