@@ -128,7 +128,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`SECOND`": (multistart, "SECOND", plain),
         "`SECOND_FLOOR`, of σ": (multistart, "SECOND_FLOOR", plain),
         "`MERGE_DISTANCE`": (multistart, "MERGE_DISTANCE", plain),
-        "`GAIN` of a round": (multistart, "GAIN", plain),
+        "`LEAST_DECREASE`": (multistart, "LEAST_DECREASE", plain),
         "`RESTARTS`": (multistart, "RESTARTS", plain),
         "`REACH`": (multistart, "REACH", plain),
         "`ALONG`": (multistart, "ALONG", plain),

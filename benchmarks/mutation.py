@@ -65,12 +65,12 @@ WITNESSES = {
     "playback/coupled_modes.py": ("resonance", "pedals"),
     "playback/free_strings.py": ("free_strings", "pedals"),
     "playback/pedals.py": ("pedals", "midi"),
-    "playback/repeated_strike.py": ("instrument_play", "pedals"),
+    "playback/cached_strike.py": ("instrument_play", "pedals"),
     "playback/resonance.py": ("free_strings", "resonance", "pedals"),
     "playback/voice.py": ("instrument_play", "pedals"),
 }  # fmt: skip
 # Modules whose code is in stored programs.
-FRESH = ("playback/repeated_strike.py",)
+FRESH = ("playback/cached_strike.py",)
 # A child may take this many times as long as the unchanged code, and at least so many seconds.
 TIMES, LEAST_SECONDS = 4.0, 30.0
 KILLED, SURVIVED = "killed", "survived"

@@ -24,8 +24,8 @@ from realism import measure
 from unrecorded import left_out, rendered
 
 from pianofit.instrument import build_instrument, find_fits, load_keys
-from pianofit.instrument.guessed_keys import fit_exponentials
 from pianofit.instrument.guessed_knocks import static_part
+from pianofit.instrument.guessed_responses import fit_exponentials
 from pianofit.instrument.measured_fields import decay_curve, expected_force, level_energy, partial_energies, spectrum
 from pianofit.model.modal_response import ModalResponse
 from pianofit.program_folder import enable_program_cache

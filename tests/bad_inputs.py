@@ -31,7 +31,7 @@ def fit_dict(**values: object) -> dict:
         "sigma": 30,
         "borders": [50.0, 150.0, 850.0, 950.0],
     }
-    levels = {"initial_db": 9.0, "fitted_db": 1.0, "reference_hammer_db": None, "partials": 1}
+    levels = {"initial_db": 9.0, "fitted_db": 1.0, "initial_hammer_db": None, "partials": 1}
     row = {
         "file": "a.wav", "sha256": "0" * 64, "channel": "mono", "rate": 44100, "onset_s": 0.0, "stroke_value": 0.8,
         "gain": 1.0,

@@ -189,7 +189,7 @@ def example_content() -> dict[str, Any]:
         "bands": {name: {"initial": initial, "final": final} for name, (initial, final) in bands.items()},
         "excluded_bands": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0],
     }  # fmt: skip
-    levels = {"initial_db": 12.31, "fitted_db": 2.64, "reference_hammer_db": 2.6, "partials": 40}
+    levels = {"initial_db": 12.31, "fitted_db": 2.64, "initial_hammer_db": 2.6, "partials": 40}
     k = np.arange(1, COUNT + 1)
     path = {"frequency": (k * F0 * np.sqrt(1 + B * k**2)).tolist(), "db": (3 * np.sin(k / 9)).tolist()}
     return {

@@ -20,8 +20,8 @@ import pianofit
 from pianofit import NoteOptions, OutputError, ParameterError, note_from_labels, notes, write_dataset
 from pianofit.cli import app
 from pianofit.conversions import midi_of
-from pianofit.dataset.draw import PATH_FREQUENCIES, NotePrior, draw_path
 from pianofit.dataset.labelled_note import BLOCK
+from pianofit.dataset.random_notes import PATH_FREQUENCIES, NotePrior, draw_path
 from pianofit.dataset.source import load_source
 from pianofit.excitation import hammer
 from pianofit.inference import priors

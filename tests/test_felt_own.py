@@ -12,7 +12,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING, strike, table
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
 from pianofit.parameters import PARAMETERS
-from pianofit.playback.repeated_strike import strike_string, string_tables
+from pianofit.playback.cached_strike import strike_string, string_tables
 
 pytestmark = pytest.mark.usefixtures("float64")
 

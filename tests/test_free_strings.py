@@ -10,9 +10,9 @@ from pianofit.literature import typical_strings
 from pianofit.model.modal_response import PRE_ONSET_S, ForcePulse, VelocityGain
 from pianofit.model.output_path import OutputPath
 from pianofit.playback import PlayOptions, Song, render_song
+from pianofit.playback.cached_strike import string_tables
 from pianofit.playback.coupled_modes import MOST_BRIDGE_SHARE
 from pianofit.playback.free_strings import HIGHEST, FreeStrings, _knock_transform, _modelled, _transform
-from pianofit.playback.repeated_strike import string_tables
 from pianofit.playback.resonance import HOP_SECONDS, RATE_RATIO, hop_count, hop_samples
 
 RATE = 48_000

@@ -13,8 +13,8 @@ from pianofit.cli import app
 from pianofit.errors import ParameterError
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, write_instrument
 from pianofit.instrument.evened_keys import brightness_slope, decay_factor, predict_key, with_decay, with_knock
-from pianofit.instrument.guessed_keys import recorded_keys
 from pianofit.instrument.guessed_knocks import static_part
+from pianofit.instrument.guessed_responses import recorded_keys
 from pianofit.instrument.key_quantities import stroke_level
 from pianofit.instrument.measured_fields import TIMES, RecordedKey, StringLaw, early_ratio, measure_fields
 from pianofit.schema.decode import builtins_of

@@ -21,8 +21,8 @@ from pianofit.export import ExportOptions, export_sampler
 from pianofit.felt import law_of
 from pianofit.instrument import find_fits, load_instrument, load_keys
 from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
-from pianofit.instrument.guessed_keys import guess_response
 from pianofit.instrument.guessed_knocks import static_part
+from pianofit.instrument.guessed_responses import guess_response
 from pianofit.instrument.key_quantities import stroke_level
 from pianofit.instrument.measured_fields import RecordedKey, StringLaw, measure_fields, measure_path, string_partials
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse

@@ -22,7 +22,7 @@ from pianofit.instrument.key_quantities import LOUDEST_VELOCITY
 from pianofit.model.modal_response import force_pulse
 from pianofit.model.output_path import OutputPath
 from pianofit.playback import Song, render_song
-from pianofit.playback.repeated_strike import string_tables
+from pianofit.playback.cached_strike import string_tables
 from pianofit.playback.voice import StringVoice
 from pianofit.web.payload import encode_note
 

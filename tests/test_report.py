@@ -161,7 +161,7 @@ def test_claims_come_first_and_plainly(tmp_path):
         "do not support the fitted hammer", "The player above")]  # fmt: skip
     assert order == sorted(order)
     assert "Not converged" not in body
-    better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "reference_hammer_db": 4.0, "partials": 40})
+    better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "initial_hammer_db": 4.0, "partials": 40})
     assert "explains more of the levels" in Page(written(tmp_path, better)).text
 
 
@@ -371,7 +371,7 @@ def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path):
     for entry in content["parameters"].values():
         entry |= {"interval": None}
     content["recordings"][0]["stroke_interval"] = None
-    levels = content["levels"] | {"reference_hammer_db": None}
+    levels = content["levels"] | {"initial_hammer_db": None}
     fit = example_fit(content, recipe="paper", invariants={}, levels=levels)
     text = Page(written(tmp_path, fit)).text
     assert "recipe “paper”" in text

@@ -40,7 +40,7 @@ class FitError(PianofitError):
 
 
 class OutputError(PianofitError):
-    """An output that cannot be written, or that would replace an existing file."""
+    """An output that cannot be made or written, or that would replace an existing file."""
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:

@@ -62,6 +62,10 @@ class Hammer(NamedTuple):
         return summary(self, exact=True)
 
 
+# Largest width of a contact window over the distance from its centre to the nearer end of the string. 2 is the limit.
+WINDOW_WITHIN = 1.98
+
+
 class Geometry(NamedTuple):
     """Size of the string, and positions of hammer and pickup, measured from the agraffe.
 
@@ -82,6 +86,11 @@ class Geometry(NamedTuple):
 
     def __repr__(self) -> str:
         return summary(self, exact=True)
+
+    def with_window_on_string(self) -> Geometry:
+        """Return the geometry with a contact window that ends before both ends of the string."""
+        widest = WINDOW_WITHIN * min(self.strike_position, self.length - self.strike_position)
+        return self._replace(width=min(self.width, widest))
 
 
 class Parameter(NamedTuple):

@@ -53,7 +53,7 @@ class Slopes:
         return self.beats / (self.stop - self.start)
 
 
-def early_and_late(fitted: FittedBands) -> tuple[Slopes, Slopes]:
+def measure_decay_rates(fitted: FittedBands) -> tuple[Slopes, Slopes]:
     """Decay rates of the early and the late part of the envelope of each partial."""
     log = _log_envelopes(fitted)
     least = max(_FEWEST, round(_WINDOWS * fitted.bands.window * fitted.bands.rate))

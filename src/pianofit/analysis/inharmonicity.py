@@ -19,7 +19,9 @@ import numpy as np
 from ..conversions import CENTS
 
 B_RANGE = (1e-6, 2e-2)  # searched range of B; piano strings have 5e-5 to 2e-2
-# From about this partial on, real strings deviate from the law by cents, growing as the cube of the number.
+# From about this partial on, real strings deviate from the law by cents. A smooth deviation counts here as independent
+# errors. If they grow as the cube of the number, low partials decide, and B scatters least over the layers of a key. F
+# has the deviations as a Gaussian process, with the growth that they have (`priors.DEVIATION_GROWTH`).
 LAST_TRUSTED_PARTIAL = 10.0
 # Partials that predict the deviation of the next one: fewer are sensitive to beats, more do not follow the curve.
 NEIGHBOURS = 9

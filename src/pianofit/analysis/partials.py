@@ -35,7 +35,7 @@ from ..dsp.level import LEVEL_RATE
 from .analysis_result import Partials
 from .baseband_fit import ExponentialFit, FittedBands, has_drifted, measure_levels
 from .beating_partials import Components, resolve_components
-from .envelope_slopes import Slopes, early_and_late
+from .envelope_slopes import Slopes, measure_decay_rates
 from .glide import FREQUENCY_WINDOW
 from .inharmonicity import DecayLaw, decay_law
 
@@ -93,7 +93,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     detected |= not detected.any()
     law = decay_law(number[detected], -fit.pole.real[detected], full.pole_error()[detected])
     frequency, frequency_error, frequency_sd = _frequencies(fits, bands.centre, clean & ~(glides & lasts))
-    early_slope, late_slope = (_of_clean(slopes, full, clean) for slopes in early_and_late(fitted))
+    early_slope, late_slope = (_of_clean(slopes, full, clean) for slopes in measure_decay_rates(fitted))
     level, level_error, level_sd, lag = _levels(fits, fitted, law(number))
     table = Partials(
         number=number,

@@ -42,7 +42,7 @@ def run_joint_batch(
     FitError
         If the fits cannot be those of one instrument, such as fits of a relaxing felt.
     """
-    check_keys(jobs)
+    require_two_keys(jobs)
     first, second = (_named(tell, name) for name in PASSES)
     alone = Store(folder / ALONE)
     pending = [job for job in jobs if not _is_archived(alone, job)]
@@ -59,7 +59,7 @@ def run_joint_batch(
 
 def plan_joint_jobs(jobs: Sequence[Job], folder: Path, retry_failed: bool = False) -> dict[str, str]:
     """Plan of a run by key, as `plan_jobs`. The priors of a second fit are known after all first fits."""
-    check_keys(jobs)
+    require_two_keys(jobs)
     alone = Store(folder / ALONE)
     plans = plan_jobs(jobs, folder, retry_failed)
     pending = [job for job in jobs if not _is_archived(alone, job)]
@@ -69,7 +69,7 @@ def plan_joint_jobs(jobs: Sequence[Job], folder: Path, retry_failed: bool = Fals
     return {key: plan if key in waiting and plan != "done" else "to do: second fit" for key, plan in plans.items()}
 
 
-def check_keys(jobs: Sequence[Job]) -> None:
+def require_two_keys(jobs: Sequence[Job]) -> None:
     """Raise a `SetupError` if no instrument of a library has two keys."""
     if max((len(keys) for keys in _instruments([job.key for job in jobs]).values()), default=0) < 2:
         raise SetupError(

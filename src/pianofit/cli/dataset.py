@@ -55,7 +55,7 @@ def dataset(
     """Write labelled synthetic notes: sounds and one table of parameters."""
     from ..dataset import NoteOptions, write_dataset
 
-    options = NoteOptions(
+    note = NoteOptions(
         keys=None if keys is None else _ends(keys),
         seconds=seconds,
         rate=rate,
@@ -69,7 +69,7 @@ def dataset(
     workers = process_count(processes)
     with cleanup_on_interrupt(_end_workers):  # the same command continues
         kind = cast("SoundFormat", format)
-        made = write_dataset(out, count, seed=seed, options=options, format=kind, processes=workers)
+        made = write_dataset(out, count, seed=seed, options=note, format=kind, processes=workers)
     there = f", {counted(made.notes - made.made, 'note')} were there before" if made.made < made.notes else ""
     words = (
         f"{printable(made.folder)}: {counted(made.notes, 'note')}, {counted(made.sounds, 'sound')}{there}; "

@@ -18,7 +18,7 @@ from ..model.many_notes import render_where_possible
 from ..model.note import Note
 from ..parameters import check_seed
 from ..schema.dataset import NoteOptions
-from .draw import DrawnNote, NotePrior
+from .random_notes import DrawnNote, NotePrior
 from .source import load_source
 from .table import labels_of
 

@@ -14,7 +14,7 @@ from ..model.note import Note
 from ..model.output_path import OutputPath
 from ..parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String
 from ..schema.dataset import Column, NoteOptions
-from .draw import PATH_FREQUENCIES
+from .random_notes import PATH_FREQUENCIES
 
 if TYPE_CHECKING:
     from .labelled_note import LabelledNote

@@ -34,8 +34,8 @@ from ..progress import Progress, progress_bar
 from ..schema.dataset import DATASET_FILE, Column, DatasetFile, NoteOptions, SoundFormat, read_dataset_file
 from ..schema.decode import encode_json
 from ..threads import MAX_PROCESSES
-from .draw import PATH_FREQUENCIES, NotePrior
 from .labelled_note import LabelledNote, blocks, check_count, make_block
+from .random_notes import PATH_FREQUENCIES, NotePrior
 from .source import load_source
 from .table import columns_of
 

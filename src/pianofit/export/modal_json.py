@@ -20,7 +20,7 @@ from ..instrument import Instrument
 from ..io.files import replace_file
 from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ModalResponse
 from ..model.note import Note
-from ..playback.repeated_strike import StringTables, strike_string, string_tables
+from ..playback.cached_strike import StringTables, strike_string, string_tables
 from ..schema.decode import encode_json
 from ..schema.modes_file import ForceEntry, ModeColumns, ModesFile, ModesKey, integers
 from ..threads import one_blas_thread

@@ -1,7 +1,7 @@
 """Felt laws, one file each. A file added here is available in `setup.toml`, fits, files and pages.
 
 The file of a law holds data and plain arithmetic, so a setup is checked without JAX. `steps`, which the contact
-imports, computes the steps of all laws: a new law needs its file only.
+imports, computes the steps of all laws, and `make_hammer` finds a law by its parameters: a new law needs its file only.
 """
 
 from __future__ import annotations
@@ -80,11 +80,14 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
 
 
 def make_hammer(values: Mapping[str, float], where: str = "argument") -> Any:
-    """Return a hammer with these `values`: soft or relaxing if they contain a skin, or epsilon and tau."""
-    common = [values[name] for name in HAMMER_NAMES]
-    if "skin" in values:
-        return SoftHammer(*common, skin=values["skin"])
-    relaxation = [values[name] for name in RelaxingHammer._fields[len(common) :] if name in values]
-    if len(relaxation) == 1:
-        raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")
-    return RelaxingHammer(*common, *relaxation) if relaxation else Hammer(*common)
+    """Return a hammer with these `values`, of the law that has all of them; without more than `Hammer` has, a `Hammer`.
+
+    Raises `ParameterError` if a law with one of these values needs another one too.
+    """
+    for law in LAWS.values():
+        own = [name for name in law.hammer_type._fields if name not in HAMMER_NAMES]
+        if given := [name for name in own if name in values]:
+            if len(given) < len(own):
+                raise ParameterError(f"{where}: the felt law {law.name} needs {' and '.join(own)}; give all of them")
+            return law.hammer_type(**{name: values[name] for name in law.hammer_type._fields})
+    return Hammer(*(values[name] for name in HAMMER_NAMES))

@@ -20,8 +20,8 @@ from .published import COLUMNS, published_parameter
 # Nodes and weights on 0 to 1 of the stored energy. Its integrand is smooth: 24 nodes give 9 digits.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
-# Prior of the thickness: median over the key's reference compression, and spread of the logarithm. 17 keys of five
-# pianos have 0.02 to 2.4 times that compression (docs/fitting.md).
+# Prior of the thickness: median over the key's reference compression, and spread of the logarithm. Fits of 20 keys of
+# five pianos have 0.02 to 5 times that compression, 0.2 times in the median (docs/fitting.md).
 SKIN, SKIN_SPREAD = 0.3, 1.5
 
 

@@ -1,33 +1,35 @@
 """The one objective: minus the log marginal posterior of tables of partials.
 
-    y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + p[r,k] m_g(r),k + d[r,k] + e[r,k]
-    c ~ N(0, S²)      a_g ~ N(0, A² √uuᵀ M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
-    m_gk ~ N(0, 1)      d[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings
+    y[r,k] = L_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + n[r,k] m_g(r),k + h[r,k] + e[r,k]
+    c_q ~ N(0, ς_q²)    a_g ~ N(0, A² ψψᵀ M(ℓ) + τ_g² I + S)    e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
+    m_gk ~ N(0, 2 τ̂²)   h[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings
     of a path
+
+The symbols are those of docs/fitting.md. The residual is d = y - L.
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
 string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one
-recording has alone: gain, onset, pitch. A stroke of another pitch meets the path at other frequencies: p m is the slope
-of the path at partial k, times the shift. The d describe how a partial deviates from the model in strokes of similar
+recording has alone: gain, onset, pitch. A stroke of another pitch meets the path at other frequencies: n m is the shift
+times the slope of the path at partial k. The h describe how a partial deviates from the model in strokes of similar
 velocity; ρ is the size of the walk over an e-fold of velocity. All four are integrated out in closed form. Student's t
 is a scale mixture, whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same
 function:
 
-    F = ½ rᵀC⁻¹r + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
+    F = ½ dᵀC⁻¹d + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
 
 Undetected partials are censored: the predictive distribution of each, given all detected partials, lies below the bound
 of its band. One velocity alone does not determine τ. τ, and whether recordings share a gain, are summed over the nodes
 of their priors, for any number of recordings.
 
-C is never formed. Without path and columns, C has one block E_k = ρ² W + V + diag(var/w) for each partial, with
-V_rs = p_rk p_sk for two recordings of a path. With P = E_k⁻¹, the recordings determine only the weighted mean of an
-output path, x̄ = 1ᵀP x / D, D = 1ᵀP 1 over the recordings of the path. Deviations from the mean do not depend on the
-path. Before the columns,
+C is never formed. Without path and columns, C has one block E = ρ² W + V + diag(var/w) for each partial, with
+V_rs = 2 τ̂² n_rk n_sk for two recordings of a path. The recordings determine only the weighted mean of an output path,
+x̄ = 1ᵀE⁻¹x / D, D = 1ᵀE⁻¹1 over the recordings of the path. Deviations from the mean do not depend on the path. Before
+the columns,
 
-    C₀⁻¹x = P (x - x̄) + P1/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
+    C₀⁻¹x = E⁻¹(x - x̄) + E⁻¹1/D N x̄,      N = (P + 1/D)⁻¹,      P the path's prior covariance
 
-and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N depends on τ, and only S
-on the gains. P depends on the velocities through W, and its derivative by them is part of F's gradient.
+and with them C⁻¹ = C₀⁻¹ - UᵀU, U = K⁻¹ ς B C₀⁻¹, K Kᵀ = I + ς B C₀⁻¹Bᵀ ς (Woodbury). Only N depends on τ, and only ς
+on the gains. E depends on the velocities through W, and its derivative by them is part of F's gradient.
 
 The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. Functions
 take many points at once [B, ...], because the matrices of one point are small. The search has its derivatives in closed
@@ -71,15 +73,15 @@ class ObservationTable(NamedTuple):
     censored: Values  # int, recording and partial of a censored entry, where `value` is a bound [N, 2]
     group: Values  # one-hot [R, G]
     columns: Values  # B [Q, R, K]
-    scale: Values  # S, prior standard deviations of their coefficients [M, Q]
+    scale: Values  # ς, prior standard deviations of their coefficients [M, Q]
     systematic: Values  # S [K, K]
     distance_octaves: Values  # distance of partials, octaves [K, K]
     has_unknown_path: Values  # 1 where the group has an unknown path, or the string deviates from its model [G]
     log_tau: Values  # log τ [T, G]
     log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
     excess_profile: Values  # u, of σ² [K]
-    smooth_profile: Values  # of A [K]
-    pitch: Values  # p, of strokes that are not at the pitch of the reference [R, K]
+    smooth_profile: Values  # ψ, of A [K]
+    pitch: Values  # √2 τ̂ n, of strokes that are not at the pitch of the reference [R, K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
     velocity: Values  # derivative of each recording's log velocity by θ, 1 or 0 [R, size]
@@ -89,14 +91,14 @@ class ObservationTable(NamedTuple):
 class CovarianceFactors(NamedTuple):
     """Factors of C at many φ and w [B, ...]."""
 
-    precision: Values  # P of each partial [B, K, R, R]; 0 where no partial was detected
-    precision_sum: Values  # P1 [B, R, K]
-    relative_precision: Values  # P1/D [B, R, K]
+    precision: Values  # E⁻¹ of each partial [B, K, R, R]; 0 where no partial was detected
+    precision_sum: Values  # E⁻¹1 [B, R, K]
+    relative_precision: Values  # E⁻¹1/D [B, R, K]
     walk: Values  # ρ² W [B, R, R]
     matern: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [B, K, K]
-    prior: Values  # A [B, T, G, K, K]
+    prior: Values  # P [B, T, G, K, K]
     path: Values  # N [B, T, G, K, K]
-    root: Values  # L⁻¹S [B, T, M, Q, Q]
+    root: Values  # K⁻¹ς [B, T, M, Q, Q]
     U: Values  # [B, T, M, Q, R, K]
     half_log_det: Values  # ½ log|C| [B, T, M]
 
@@ -214,7 +216,7 @@ def factor_covariance(table: ObservationTable, phi: Values, w: Values, theta: Va
 
 
 def _paths(table: ObservationTable, matern: Values, total: Values, xp: Space) -> tuple[Values, Values, Values]:
-    """A and N of every path [B, T, G, K, K], and ½ log|1 + A D| [B, T]; D [B, G, K] is 0 without detected partials."""
+    """P and N of every path [B, T, G, K, K], and ½ log|1 + P D| [B, T]; D [B, G, K] is 0 without detected partials."""
     eye = xp.eye(len(table.distance_octaves))
     prior = table.has_unknown_path[:, None, None] * matern[:, None] + table.systematic
     prior = prior[:, None] + (xp.exp(2 * table.log_tau)[..., None, None] + JITTER) * eye
@@ -240,11 +242,11 @@ class Predicted(NamedTuple):
     mean: Values
     variance: Values
     gain: Values  # derivative of path and walk by the residuals, without the columns [B, T, N, R, K]
-    loading: Values  # ρ: the coefficients' part of each entry, in units of L [B, T, M, Q, N]
+    loading: Values  # λ: the part of the coefficients in each entry, in units of K [B, T, M, Q, N]
 
 
 def predicted(table: ObservationTable, p: CovarianceFactors, residual: Values, q: Values, at: Values) -> Predicted:
-    """Predict entries `at` [N, 2] from the residual [B, R, K] and q = U r [B, T, M, Q]."""
+    """Predict entries `at` [N, 2] from the residual [B, R, K] and q = U d [B, T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
     group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[2])
     rows = group[:, :, None] * p.prior[:, :, :, k]
@@ -269,8 +271,8 @@ class NodeSolutions(NamedTuple):
 
     nll_per_node: Values  # F [B, T, M]
     factors: CovarianceFactors
-    precision_residual: Values  # C⁻¹r [B, T, M, R, K]
-    q: Values  # U r [B, T, M, Q]
+    precision_residual: Values  # C⁻¹d [B, T, M, R, K]
+    q: Values  # U d [B, T, M, Q]
     censored: Predicted
     standardised: Values  # bound minus mean of the censored entries, in standard deviations [B, T, M, N]
     conditional_sd: Values  # these standard deviations, dB
@@ -285,7 +287,7 @@ def solve_nodes(
     U = flattened(p.U)
     q = (U @ flattened(residual)[:, None, None, :, None])[..., 0]
     precision_residual = before[:, :, None] - (q[..., None, :] @ U).reshape(*q.shape[:3], *residual.shape[1:])
-    # rᵀC₀⁻¹r and qᵀq
+    # dᵀC₀⁻¹d and qᵀq
     square = (before * residual[:, None]).sum(axis=(2, 3))[:, :, None] - (q**2).sum(axis=3)
     at = table.censored
     censored = predicted(table, p, residual, q, at)
@@ -309,8 +311,8 @@ def pointwise(
 ) -> tuple[Values, Values]:
     """Log density of each detected entry given all others [R, K], and of each censored entry given these [N].
 
-    Entries share paths and columns, so F has no separate term of each. With C⁻¹ and s = C⁻¹r, entry i is normal about
-    r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
+    Entries share paths and columns, so F has no separate term of each. With C⁻¹ and s = C⁻¹d, entry i is normal about
+    d_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
     over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
     s = solve_nodes(table, residual[None], phi[None], w[None], theta[None], xp)

@@ -41,7 +41,7 @@ NEAR, LAST_STEPS = 10.0, 25
 MERGE_DISTANCE = 0.2
 # Rounds of restarts about the best continue until one lowers F by less than this. A likelihood ratio of 1.6 does not
 # distinguish hammers.
-GAIN = 0.5
+LEAST_DECREASE = 0.5
 # Maximum number of rounds,
 ROUNDS = 8
 # restarts of each,
@@ -100,7 +100,7 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
         before = objective.total(candidates)[0]
         for points, gains in kinds:
             candidates = _restarted(objective, candidates, points, gains)
-        if objective.total(candidates)[0] > before - GAIN:
+        if objective.total(candidates)[0] > before - LEAST_DECREASE:
             break
     return candidates
 

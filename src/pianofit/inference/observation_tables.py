@@ -133,7 +133,10 @@ def select_partials(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, 
 
 
 def _covariance(matrices: Sequence[np.ndarray], numbers: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
-    """Mean of the recordings' systematic covariances [K, K]; each entry over the recordings that have it."""
+    """Sum of the recordings' systematic covariances, over √(n_i n_j) for partials in n_i and n_j recordings [K, K].
+
+    It stays positive semidefinite if the recordings have different partials.
+    """
     total, count = np.zeros((len(number), len(number))), np.zeros(len(number))
     for matrix, own in zip(matrices, numbers, strict=True):
         at, inside = np.searchsorted(number, own), np.isin(own, number)

@@ -61,7 +61,7 @@ def predicted_decrease(objective: Objective, candidates: Candidates) -> np.ndarr
 
 
 def _direction(objective: Objective, now: Candidates, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of θ [B, size] and half their predicted decrease [B]; a parameter that would cross a bound stays."""
+    """Steps of θ [B, size] and the decrease of F that they predict [B]; a parameter that would cross a bound stays."""
     u = objective.problem.parametrisation
     gradient, curvature = objective.gradient(now), objective.curvature(now)
     lower, upper = u.bounds_at(now.theta)

@@ -3,8 +3,8 @@
 If the felt law has a power, its stiffness is searched as the static force at a reference compression, F = K_H g^p. The
 base g of the power is u_ref, unless the law has another. Strokes determine the force where they compress the felt. K_H
 alone, whose unit changes with p, trades off against p. All other parameters of a law are logarithms of their values. No
-stroke is special: without a measured velocity, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction
-of the prior. Lengths of a law scale with s.
+stroke is special: without a measured velocity, the scaling (K_H, μ, d, v) → (K_H s^(1-p), μ/s, s d, s v) is one wide
+direction of the prior.
 
 Sizes that were given with a standard deviation follow the velocities. The model always computes with the given length
 and mass. The two scalings of a string (docs/model.md) make this exact: a string of another length sounds the same if

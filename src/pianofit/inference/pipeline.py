@@ -69,7 +69,7 @@ class InferenceResult:
     @cached_property
     def gauge_fixed(self) -> Posterior:
         """The posterior, gauge-fixed at the reference velocity if only the prior sets the scale of the velocities."""
-        if not self.problem.velocity_scale_free:
+        if not self.problem.velocity_scale_open:
             return self.posterior
         return self.posterior.condition_on(
             np.eye(self.problem.parametrisation.size)[self.problem.reference_velocity_index]
@@ -99,7 +99,7 @@ class InferenceResult:
         return latent_posterior(table, level.residual[minimum], level.phi[minimum], level.w[minimum], theta)
 
     @cached_property
-    def reference_hammer_level(self) -> np.ndarray:
+    def initial_hammer_level(self) -> np.ndarray:
         """Levels of the initial hammer at its best velocities, gain and output path, dB [R, K].
 
         A free strike position is fitted too. So the remaining difference to the fitted hammer is due to mass and felt.

@@ -67,7 +67,7 @@ class ModelInputs(NamedTuple):
     geometry: Geometry  # strike position and width are those of the stroke
     rate: Any  # of the contact, Hz
     reference_compression: Any  # of the searched force, m; 0 if the stiffness is an entry itself
-    steps: Any  # maximum steps of a contact, a multiple of 32
+    steps: Any  # maximum steps of a contact, a multiple of `STEPS`
     free: Any  # int, entries of a stroke for derivatives; -1 for a direction without effect [directions]
 
 
@@ -106,7 +106,7 @@ class FitProblem:
         return None if self.parametrisation.joint is None else self.parametrisation.joint.record
 
     @property
-    def velocity_scale_free(self) -> bool:
+    def velocity_scale_open(self) -> bool:
         """True if one common scale of the velocities is free: neither the levels' unit nor a velocity is given."""
         is_open = self.initial_values.law.stroke.scale_is_open
         return is_open and not self.calibrated and all(v is None for v in self.measured_velocity)

@@ -3,7 +3,7 @@
 The fits measure the `LAW_QUANTITIES` of their keys, and the posterior of the whole keyboard gives those of all 88
 (`keyboard_posterior`). A recorded key is played as it was fitted, unless it is evened out (`evened_keys`). The keyboard
 sets only its scale of velocities, where the recordings leave it open. Any other key takes the values of the laws, and
-its modal response is a guess from those of the recorded keys (`guessed_keys`).
+its modal response is a guess from those of the recorded keys (`guessed_responses`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
 from .dampers import damper_law
 from .evened_keys import even_out
-from .guessed_keys import guess_response, keyboard_string_law, recorded_keys
+from .guessed_responses import guess_response, keyboard_string_law, recorded_keys
 from .instrument import Instrument, Key
 from .key_quantities import (
     LAW_QUANTITIES,

@@ -30,7 +30,7 @@ from ..schema.instrument import (
 from ..schema.modal_response import ModalResponseEntry
 from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, instrument_title, load_extras, load_keys
-from .guessed_keys import missing_laws, with_guessed_responses
+from .guessed_responses import missing_laws, with_guessed_responses
 from .instrument import Instrument, Key
 from .release_noise import ReleaseNoise, release_entries
 

@@ -61,7 +61,7 @@ class KnockFields(NamedTuple):
         points = FieldPoints(np.zeros(len(self.keys)), self.keys, np.ones(len(self.keys)))
         field, at = Field(points, self.shape), FieldPoints.of_key(np.zeros(1), midi)
         weights = field.weights(at)
-        # The expected power, as of the partials (`guessed_keys`).
+        # The expected power, as of the partials (`guessed_responses`).
         surplus = field.variance(weights, at) / DB
         out = []
         for energy, cancelled, ringing in zip(self.independent, self.cancelled, modes, strict=True):

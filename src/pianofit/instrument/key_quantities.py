@@ -169,7 +169,6 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str, law: Ex
     low, high = (speed / (2 * hertz) for speed in (PARAMETERS["c"].lower, PARAMETERS["c"].upper))
     length = float(np.clip(at["L"], low, high))
     mass, c = at["M_S/L"] * length, 2 * length * hertz
-    strike = at["x0/L"] * length
     string = {
         "c": c,
         "kappa": c * length * math.sqrt(at["B"]) / math.pi,
@@ -177,10 +176,8 @@ def note_from_quantities(at: dict[str, float], midi: int, quantity: str, law: Ex
         "b2": at["d2"] * (length / math.pi) ** 2,
     }
     hammer = _hammer(at, midi, mass) if law.key_quantities else law.make_hammer({law.size: LOUDEST_VELOCITY})
-    # The contact window stays on the string.
-    width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
-    geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
-    return Note(String(**within_ranges(string)), hammer, geometry, quantity, 1.0)
+    geometry = Geometry(length, mass, at["x0/L"] * length, at["width/L"] * length, at["pickup/L"] * length)
+    return Note(String(**within_ranges(string)), hammer, geometry.with_window_on_string(), quantity, 1.0)
 
 
 def _hammer(at: dict[str, float], midi: int, mass: float) -> SoftHammer:
@@ -210,6 +207,6 @@ def literature(midi: int) -> dict[str, float]:
 def literature_note(midi: int) -> Note:
     """Return the literature's key, with the contact of a fit that is not given the width of the contact."""
     it = typical(midi)
-    geometry = it.geometry._replace(width=min(it.geometry.width, 0.1 * it.geometry.length))
+    geometry = it.geometry._replace(width=SOFT_SKIN.typical(it.geometry, None).width)
     hammer = SoftHammer(*it.hammer, SOFT_SKIN.parameters["skin"].prior_median(midi))
     return Note(it.string, hammer, geometry, "bridge-force", 1.0)

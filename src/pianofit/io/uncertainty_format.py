@@ -30,7 +30,7 @@ GREEK = {"kappa", "mu", "epsilon", "tau"}
 POWER = re.compile(r"e([+-]\d+)")
 
 
-class Spec(NamedTuple):
+class FormatSpec(NamedTuple):
     """A parsed format specification."""
 
     pad: str  # fill, alignment and width, as in Python's format of texts
@@ -40,7 +40,7 @@ class Spec(NamedTuple):
     style: str  # letters of S, L, P, p
 
 
-def parse_format_spec(text: str) -> Spec:
+def parse_format_spec(text: str) -> FormatSpec:
     """Parse a format specification, or raise a `ParameterError` if it is invalid."""
     match = SPEC.fullmatch(text)
     digits = None if not match or match["digits"] is None else int(match["digits"])
@@ -49,10 +49,10 @@ def parse_format_spec(text: str) -> Spec:
             f"format {text!r} must have the form [width][.precision][u][e|f|g][S|L|P|p], such as '.2uS'"
         )
     pad = f">{match['pad']}" if match["pad"].isdigit() else match["pad"]
-    return Spec(pad, digits, bool(match["u"]), match["kind"] or "g", match["style"])
+    return FormatSpec(pad, digits, bool(match["u"]), match["kind"] or "g", match["style"])
 
 
-def format_with_sd(value: float, sd: float, spec: Spec) -> str:
+def format_with_sd(value: float, sd: float, spec: FormatSpec) -> str:
     """Format `value` with its standard uncertainty; both finite, `sd` above 0."""
     if spec.digits is None and _first_three(sd) >= ROUNDED_UP_FROM:
         sd = 10.0 ** (exponent_of(sd, 2) + 1)
@@ -62,7 +62,7 @@ def format_with_sd(value: float, sd: float, spec: Spec) -> str:
     return format(_superscript(f"{body}e{power:+03d}" if power else body, spec.style), spec.pad)
 
 
-def format_interval(value: float, ends: Sequence[float] | None, open_ends: Sequence[str], spec: Spec) -> str:
+def format_interval(value: float, ends: Sequence[float] | None, open_ends: Sequence[str], spec: FormatSpec) -> str:
     """Format `value` with an asymmetric interval, as tables do; a half-open interval becomes a bound."""
     if ends is None:
         return format(_superscript(_plain(value, spec), spec.style), spec.pad)
@@ -74,13 +74,13 @@ def format_interval(value: float, ends: Sequence[float] | None, open_ends: Seque
     return format(_superscript(f"{number}{chr(92) + ';' if 'L' in spec.style else ' '}{text}", spec.style), spec.pad)
 
 
-def _plain(value: float, spec: Spec) -> str:
+def _plain(value: float, spec: FormatSpec) -> str:
     """Format a value without an uncertainty; digits of the uncertainty are ignored."""
     digits = 6 if spec.digits is None or spec.of_sd else spec.digits
     return f"{value:.{digits}{spec.kind}}"
 
 
-def _place(value: float, sd: float, spec: Spec) -> int:
+def _place(value: float, sd: float, spec: FormatSpec) -> int:
     """The decimal place of the last digit: 3 for 2.277."""
     if spec.digits is None:
         return (1 if _first_three(sd) <= TWO_DIGITS_UP_TO else 0) - exponent_of(sd, 2)

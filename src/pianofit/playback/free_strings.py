@@ -23,8 +23,8 @@ from ..literature import typical_strings
 from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse
 from ..model.modes import raised_cosine_weights
 from ..model.note import Note
+from .cached_strike import string_tables
 from .coupled_modes import CoupledModes, bridge_drive
-from .repeated_strike import string_tables
 
 # Highest frequency of a free mode, Hz: higher ones decay fast and take little from the bridge. See docs/pedals.md.
 HIGHEST = 4500.0

@@ -22,7 +22,7 @@ from ..instrument.dampers import Dampers
 from ..model.modal_response import ForcePulse
 from ..model.note import Note
 from ..model.output_path import apply_filter
-from .repeated_strike import StringTables, strike_string, string_tables
+from .cached_strike import StringTables, strike_string, string_tables
 from .una_corda import UnaCorda, una_corda
 
 # Largest number of channels of exports and pages: stereo.

@@ -26,7 +26,7 @@ def fit_summary(result: Result) -> str:
     lines += [line for table in tables for line in _quantity_lines(table)]
     parts = (f"f0 {derived.f0:.3f} Hz ({nearest_note(derived.f0)})", f"B {derived.B:.4g}")
     lines.append(", ".join(filter(None, (*parts, recontact_text(derived.recontacts)))))
-    hammer = levels.reference_hammer_db
+    hammer = levels.initial_hammer_db
     only = "" if hammer is None else f", initial hammer {hammer:.2f} dB"
     where = "levels of partials" + (f" in {len(fit.recordings)} recordings" if several else "")
     errors = f"initial {levels.initial_db:.2f} dB{only}, fitted {levels.fitted_db:.2f} dB"

@@ -237,7 +237,7 @@ def glide(fit: Fit) -> str:
 
 def initial_hammer_text(fit: Fit) -> str:
     """Compare the fit with the initial hammer at fitted velocities, gain and path; empty if that was not computed."""
-    initial_hammer, fitted = fit.levels.reference_hammer_db, fit.levels.fitted_db
+    initial_hammer, fitted = fit.levels.initial_hammer_db, fit.levels.fitted_db
     if initial_hammer is None or fitted is None:
         return ""
     reported = (*fit.parameters.values(), *fit.invariants.values())

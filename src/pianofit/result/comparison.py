@@ -112,7 +112,7 @@ class RecordingComparison:
         return level if self.gain is not None else level + 20 * np.log10(max(float(sound.note.gain), 1e-15))
 
     def level_errors(
-        self, initial: np.ndarray, fitted: np.ndarray, reference_hammer: np.ndarray | None = None
+        self, initial: np.ndarray, fitted: np.ndarray, initial_hammer: np.ndarray | None = None
     ) -> LevelErrors:
         """Rms errors of levels, dB [partials], with one gain removed from each."""
         chosen = audible_partials(self.analysis.partials.frequency, self.level)
@@ -120,8 +120,8 @@ class RecordingComparison:
         def error(level: np.ndarray) -> float:
             return level_error_db(level[chosen], self.level[chosen])
 
-        reference = None if reference_hammer is None else error(reference_hammer)
-        return LevelErrors(error(initial), error(fitted), reference, int(chosen.sum()))
+        hammer = None if initial_hammer is None else error(initial_hammer)
+        return LevelErrors(error(initial), error(fitted), hammer, int(chosen.sum()))
 
     def compare(
         self, initial: RenderedFit, fitted: RenderedFit, levels: Sequence[np.ndarray], errors: LevelErrors
@@ -160,8 +160,8 @@ def pool_level_errors(levels: Sequence[LevelErrors]) -> LevelErrors:
         return float(np.sqrt((np.square(values) * count).sum() / count.sum()))
 
     initial, fitted = rms([own.initial_db for own in levels]), rms([own.fitted_db for own in levels])
-    reference = [own.reference_hammer_db for own in levels if own.reference_hammer_db is not None]
-    return LevelErrors(initial, fitted, rms(reference) if len(reference) == len(levels) else None, int(count.sum()))
+    hammer = [own.initial_hammer_db for own in levels if own.initial_hammer_db is not None]
+    return LevelErrors(initial, fitted, rms(hammer) if len(hammer) == len(levels) else None, int(count.sum()))
 
 
 def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
@@ -171,8 +171,8 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     start[:STRING_SIZE] = np.log([problem.initial_values.initial[name] for name in STRING_NAMES])
     initial = fit.level(start)
     fitted = np.asarray(problem.observed.level.value) - integrated.residual - integrated.discrepancy
-    has_reference = problem.parametrisation.law.has_contact and not problem.calibrated
-    reference_hammer = fit.reference_hammer_level if has_reference else None
+    has_hammer = problem.parametrisation.law.has_contact and not problem.calibrated
+    initial_hammer = fit.initial_hammer_level if has_hammer else None
     compared = []
     for i, note in enumerate(notes):
         comparison = RecordingComparison(problem.recordings[i], problem.analyses[i], problem.initial_values.scale)
@@ -182,7 +182,7 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
         after = comparison.render(note, float(gain), begins)
         # The initial sound has its best gain by the criterion, since its overall level is not compared.
         before = comparison.render(note_at(problem, start, problem.structure.stroke[i]), comparison.gain, begins)
-        rows = [initial[i], fitted[i]] + ([] if reference_hammer is None else [reference_hammer[i]])
+        rows = [initial[i], fitted[i]] + ([] if initial_hammer is None else [initial_hammer[i]])
         first, *others = (comparison.levels_at_partials(row, columns) for row in rows)
         levels = [comparison.at_best_gain(before, first), *others]
         errors = comparison.level_errors(*map(comparison.add_noise_floor, levels))

@@ -26,7 +26,7 @@ class StrongCorrelation(NamedTuple):
 
 def strong_correlations(fit: InferenceResult) -> tuple[StrongCorrelation, ...]:
     """The pairs of parameters whose correlation exceeds `STRONG_CORRELATION`."""
-    correlation = covariance_of(fit, 0).of_shared(fit.problem.velocity_scale_free).normalised
+    correlation = covariance_of(fit, 0).of_shared(fit.problem.velocity_scale_open).normalised
     names, r = correlation.names, correlation.matrix
     return tuple(
         StrongCorrelation(names[j], names[i], float(r[i, j]), _best_combination(fit, names[j], names[i]))

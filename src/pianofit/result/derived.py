@@ -1,8 +1,8 @@
 """Derived quantities: a function of the parameters, with the interval that the joint posterior gives it.
 
 The function is evaluated at the best minimum and at draws of the posterior. The ends of the interval are quantiles.
-Without a measured velocity, draws are moved along the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) to the reference
-velocity shown, as for F/M_S. The sound does not change.
+Without a measured velocity, draws are moved along the scaling (K_H, μ, d, v) → (K_H s^(1-p), μ/s, s d, s v) to the
+reference velocity shown, as for F/M_S. The sound does not change.
 
 Probes decide the status. A parameter matters to a quantity if twice or half of its value changes the quantity. The
 felt, the hammer mass and the velocities can be not identified in spite of a narrow interval, so a quantity to which one

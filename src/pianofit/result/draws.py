@@ -115,7 +115,7 @@ def draws_of(fit: InferenceResult, record: Fit) -> Draws | None:
         table[f"{of}/L {number}".rstrip()] = drawn(name) / length
     if "F/M_S" in record.invariants:
         # At the reference velocity shown, if a common scale of the velocities is unknown.
-        scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_free else 1.0
+        scale = record.parameters["v_H0"].value / drawn("v_H0") if fit.problem.velocity_scale_open else 1.0
         felt = scale_velocity({name: drawn(name) for name in u.law.parameters}, u.law, scale)
         stiffness = felt[(u.law.power or ("",))[0]]
         table["F/M_S"] = stiffness * np.exp(u.law.log_power(u.reference_compression, felt)) / mass

@@ -37,7 +37,7 @@ def stroke_velocities(fit: InferenceResult, states: Statuses) -> list[Quantity]:
         range(u.size)[u.velocities], problem.measured_velocity, states.velocities, strict=True
     ):
         value = float(np.exp(fit.estimate.theta[at])) if measured is None or u.free[at] else float(measured)
-        scale = "its scale comes from the prior" if problem.velocity_scale_free else "scales with the assumed L"
+        scale = "its scale comes from the prior" if problem.velocity_scale_open else "scales with the assumed L"
         note, initial = scale if status == "scaled" else "", float(np.exp(fit.initial_theta[at]))
         quantity = Quantity(stroke.name, value, stroke.unit, None, status, stroke.meaning, note, initial)
         interval = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
@@ -174,7 +174,7 @@ def _static_force(fit: InferenceResult, states: Statuses, direction: np.ndarray)
     force = float(np.exp(z[stiffness]))
     size = "assumed" if "mass" in problem.initial_values.assumed else "given"
     note = f"{u.felt_force_name}, {force:.3g} N with the {size} string mass"
-    note += ", at the reference velocity shown" if problem.velocity_scale_free else ""
+    note += ", at the reference velocity shown" if problem.velocity_scale_open else ""
     # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
     felt: dict[str, Status] = {}
     if u.names[stiffness] in states.unidentifiable:
@@ -183,7 +183,7 @@ def _static_force(fit: InferenceResult, states: Statuses, direction: np.ndarray)
         felt[FELT] = "at-bound"
     value = force / problem.initial_values.geometry.mass  # θ belongs to the given mass
     quantity = _combined("F/M_S", fit.gauge_fixed, direction, value, "N/kg", felt, note)
-    is_scaled = problem.velocity_scale_free and quantity.status == "fitted"
+    is_scaled = problem.velocity_scale_open and quantity.status == "fitted"
     return replace(quantity, status="scaled") if is_scaled else quantity
 
 

@@ -24,12 +24,12 @@ def identifiability_statement(
     if not law.has_contact:
         return _released(fit, states, levels)
     start = problem.initial_values
-    hammer = "initial" if start.user_given or start.law.hammers is None else "literature"
+    source = "" if start.user_given or start.law.hammers is None else " (the literature's)"
+    searched = "output path" if problem.has_unknown_path else "gain"
     text = (
         f"{_uncalibrated(fit, states.compared)} The rms error of the partial levels is {levels.initial_db:.1f} dB "
-        f"before the fit, {levels.fitted_db:.1f} dB after it. With the {hammer} hammer, at its best velocities "
-        f"and {'output path' if problem.has_unknown_path else 'gain'}, it is {levels.reference_hammer_db:.1f} dB."
-        f"{keyboard}"
+        f"before the fit, {levels.fitted_db:.1f} dB after it. With the initial hammer{source}, at its best "
+        f"velocities and {searched}, it is {levels.initial_hammer_db:.1f} dB.{keyboard}"
     )
     if not states.compared:
         u = problem.parametrisation
@@ -43,7 +43,7 @@ def identifiability_statement(
             f"pianist by at most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not "
             "describe. Do not interpret the felt parameters, the velocities and the hammer mass."
         )
-    if problem.velocity_scale_free:
+    if problem.velocity_scale_open:
         scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))
         return (
             f"{text} No hammer velocity was measured. {_listed('Velocities', *scaled)} are therefore determined only "

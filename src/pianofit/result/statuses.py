@@ -45,7 +45,7 @@ def statuses(fit: InferenceResult) -> Statuses:
     compared, span, law = path_compared(fit), velocity_range(fit), fit.problem.parametrisation.law
     exceeds_pianist = span[0] > PIANIST_VELOCITY_RATIO
     parts = undetermined(fit, compared, exceeds_pianist)
-    scaled = law.parameters_with_unit("N m") if fit.problem.velocity_scale_free and compared else ()
+    scaled = law.parameters_with_unit("N m") if fit.problem.velocity_scale_open and compared else ()
     unidentifiable = tuple(law.parameters) * (FELT in parts) + ("M_H",) * bool(parts & {*foundations("M_H")})
     parameters, velocities = _of_parameters(fit, scaled, unidentifiable), _of_velocities(fit, VELOCITIES in parts)
     return Statuses(parameters, velocities, scaled, unidentifiable, compared, span, exceeds_pianist)
@@ -158,7 +158,7 @@ def _of_velocities(fit: InferenceResult, undecided: bool) -> list[Status]:
         # Without a measured velocity, the prior alone sets their scale: only their ratios can be too wide.
         if undecided or fit.gauge_fixed.sd(np.eye(u.size)[at]) > min(MAX_SD_OVER_PRIOR * u.sd[at], MAX_LOG_SD):
             return "not-identifiable"
-        is_scaled = problem.velocity_scale_free or problem.initial_values.assumptions.get(u.law.stroke.name)
+        is_scaled = problem.velocity_scale_open or problem.initial_values.assumptions.get(u.law.stroke.name)
         return "scaled" if is_scaled else "fitted"
 
     places = range(u.size)[u.velocities]

@@ -132,7 +132,7 @@ class LevelErrors:
 
     initial_db: Number
     fitted_db: Number
-    reference_hammer_db: Number | None  # of the initial hammer at its best velocities and output path
+    initial_hammer_db: Number | None  # of the initial hammer at its best velocities and output path
     partials: int
 
 

@@ -23,7 +23,7 @@ from ..literature import reference_compression, typical_strings
 from ..model.modal_response import ModalResponse
 from ..model.note import Note
 from ..parameters import Hammer
-from ..playback.repeated_strike import strike_string, string_tables
+from ..playback.cached_strike import strike_string, string_tables
 from ..playback.voice import CHANNELS
 from ..schema.dampers import LAST_DAMPER, Dampers
 from ..schema.decode import builtins_of

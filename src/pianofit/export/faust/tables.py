@@ -21,7 +21,7 @@ from ...dsp.filters import resample
 from ...instrument import Instrument
 from ...model.modal_response import FILTER_REACH
 from ...model.note import Note
-from ...playback.repeated_strike import StringTables, strike_string, string_tables
+from ...playback.cached_strike import StringTables, strike_string, string_tables
 
 # Sample rate of forces, Hz.
 RATE = 48_000

@@ -24,7 +24,7 @@ from ..model.program_cache import persistent_jit
 from ..model.simulate import MAX_STEPS, contact_rate, count_modes
 
 LEAST_MODES = 64
-# First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MOST_STEPS`.
+# First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MAX_STEPS`.
 FIRST_STEPS = 4096
 
 

@@ -34,8 +34,6 @@ from .source import Source, noise_range
 
 # Frequencies at which output paths are drawn, Hz: thirds of octaves, closer than the length of the prior.
 PATH_FREQUENCIES = 25.0 * 2 ** (np.arange(30) / 3)
-# The contact window stays on the string: its half width is below the strike position by this factor.
-WITHIN = 1.98
 
 
 class Stream(IntEnum):
@@ -92,9 +90,7 @@ class NotePrior:
         theta[:STRING_SIZE] = u.mean[:STRING_SIZE] + options.spread * self._string_changes(midi, z)
         theta[u.velocities] = np.sort(theta[u.velocities])
         theta = u.project(theta)
-        string, geometry = u.string(theta), u.geometry_at(theta)
-        strike = geometry.strike_position
-        geometry = geometry._replace(width=min(geometry.width, WITHIN * strike, WITHIN * (geometry.length - strike)))
+        string, geometry = u.string(theta), u.geometry_at(theta).with_window_on_string()
         response = centre.modal_response if options.modal_response else None
         if response is not None:
             response = response.scale_pitch(float(string.c / centre.string.c))
