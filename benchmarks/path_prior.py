@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from pianofit import analyse, load_recording
 from pianofit.inference import FitProblem, build_problem, map_estimate
-from pianofit.inference.likelihood import objective
+from pianofit.inference.likelihood import table_objective
 from pianofit.program_folder import enable_program_cache
 from pianofit.x64 import x64_scope
 
@@ -38,7 +38,7 @@ def residual_of(problem: FitProblem) -> float:
     def F(x: np.ndarray) -> float:
         log_tau, log_smooth, log_octaves = x
         at = table._replace(log_tau=np.full_like(np.asarray(table.log_tau), log_tau))
-        return float(objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w, theta))
+        return float(table_objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w, theta))
 
     start = np.log([4.0, 8.0, 0.7])
     end = minimize(F, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 120})

@@ -18,14 +18,14 @@ from pianofit.inference.likelihood import (
     em_weights,
     interference_db,
     node_weights,
-    objective,
     solve_nodes,
+    table_objective,
 )
 from pianofit.inference.objective import QuadraticSurrogate
 
 pytestmark = pytest.mark.usefixtures("float64")
 
-F = jax.jit(objective)
+F = jax.jit(table_objective)
 ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
 
 
@@ -36,7 +36,7 @@ def test_the_objective_is_the_dense_one(shape, seed):
     for phi in (PHI, PHI + np.array([0.5, -1.0, 0.7, 4.0, -1.0])):
         found = float(F(t, residual, phi, w, theta))
         assert found == pytest.approx(dense(t, residual, phi, w, theta), rel=1e-9, abs=1e-8)
-        assert objective(t, residual, phi, w, theta, np) == pytest.approx(found, rel=1e-11)
+        assert table_objective(t, residual, phi, w, theta, np) == pytest.approx(found, rel=1e-11)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -65,7 +65,7 @@ def test_the_gradient_is_the_automatic_one(shape):
     size = len(theta)
     jacobian = np.random.default_rng(3).normal(size=(*residual.shape, size))
     automatic = jax.jit(
-        jax.grad(lambda d, at: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w, at), argnums=(0, 1))
+        jax.grad(lambda d, at: table_objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w, at), argnums=(0, 1))
     )
     _, gradient, hessian, *_ = evaluate_one(t, residual, jacobian, PHI, w, theta)
     by_levels, by_velocities = automatic(np.zeros(size), theta)
@@ -88,7 +88,7 @@ def test_a_report_has_the_derivatives_of_the_objective(shape):
     found = evaluate_one(t, residual, np.ones((*residual.shape, len(theta))), PHI, w, theta)
 
     def of(p: jax.Array, x: jax.Array) -> jax.Array:
-        return objective(t, jnp.asarray(residual), p, jnp.exp(x), theta)
+        return table_objective(t, jnp.asarray(residual), p, jnp.exp(x), theta)
 
     both = jax.jit(jax.value_and_grad(of, argnums=(0, 1)))
     value, (by_phi, by_log_w) = both(PHI, np.log(w))
@@ -112,7 +112,7 @@ def test_the_parabola_touches_F_from_above(shape):
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
     rise = surrogate.evaluate(moved, np.zeros((60, *jacobian.shape))).nll - here.nll
-    value = jax.jit(lambda r: objective(t, r, PHI, w, theta))
+    value = jax.jit(lambda r: table_objective(t, r, PHI, w, theta))
     F = np.array([value(jnp.asarray(r)) for r in (residual, *moved)])
     assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
     if len(t.log_weight) == 1:
@@ -125,7 +125,7 @@ def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
     residual, w, theta = point("ten nodes")
     random = np.random.default_rng(4)
     moved = np.concatenate([residual[None], residual + 3 * random.normal(size=(40, *residual.shape))])
-    value = jax.jit(lambda r: objective(t, r, PHI, w, theta))
+    value = jax.jit(lambda r: table_objective(t, r, PHI, w, theta))
     F = np.array([value(jnp.asarray(r)) for r in moved])
     per_node = solve_nodes(t, *(x[None] for x in (residual, PHI, w, theta))).nll_per_node[0]
     weight, answers = node_weights(t, per_node[None])[0], t.log_weight.shape[1]
@@ -159,7 +159,7 @@ def test_parabolas_before_a_residual_is_known_are_on_one_scale():
 @pytest.mark.parametrize("shape", ["one recording", "no path", "ten nodes"])
 def test_weighting_anew_is_descent_to_a_stationary_point(shape):
     t, (residual, w, theta) = table(shape), point(shape)
-    both = jax.jit(jax.value_and_grad(lambda x: objective(t, jnp.asarray(residual), PHI, jnp.exp(x), theta)))
+    both = jax.jit(jax.value_and_grad(lambda x: table_objective(t, jnp.asarray(residual), PHI, jnp.exp(x), theta)))
     before = np.inf
     for _ in range(80):
         now, slope = both(np.log(w))
@@ -225,7 +225,7 @@ def test_weights_integrated_out_leave_students_t():
     }  # fmt: skip
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
     log_w = np.linspace(-12.0, 4.0, 4001)
-    both = jax.jit(jax.vmap(lambda r, x: objective(t, r, PHI, jnp.exp(x), np.zeros(1)), in_axes=(None, 0)))
+    both = jax.jit(jax.vmap(lambda r, x: table_objective(t, r, PHI, jnp.exp(x), np.zeros(1)), in_axes=(None, 0)))
     scale, degrees = np.sqrt(noise(t, PHI)[0, 0]), float(t.degrees_of_freedom)
 
     def density(r: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .batched_model import LevelModel, level_jacobians_per_string, levels_per_string, string_residuals
-from .likelihood import ObservationTable, objective
+from .likelihood import ObservationTable, table_objective
 from .parametrisation import STRING_SIZE, Parametrisation
 from .problem import FitProblem, ModelInputs, StaticConfig
 
@@ -108,7 +108,7 @@ def negative_log_density(at: DensityContext, theta, phi: Sequence[Any], w: Seque
         deviation = invariants(theta, cfg.law, jnp) - centre
         F = F + 0.5 * deviation @ precision @ deviation
     for term in terms:
-        F = F + objective(*term)
+        F = F + table_objective(*term)
     return jnp.where(ended.all(), F, jnp.inf)
 
 

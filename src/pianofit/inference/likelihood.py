@@ -335,10 +335,10 @@ def _log_sum(x: Values, xp: Space) -> Values:
     return largest[:, 0, 0] + xp.log(xp.exp(x - largest).sum(axis=(1, 2)))
 
 
-def objective(
+def table_objective(
     table: ObservationTable, residual: Values, phi: Values, w: Values, theta: Values, xp: Space = jnp
 ) -> Values:
-    """F at a residual [R, K], φ [5], w [R, K] and θ [size].
+    """F of one table at a residual [R, K], φ [5], w [R, K] and θ [size].
 
     The residual is y - model where a partial is detected, and bound - model where it is censored.
     """
