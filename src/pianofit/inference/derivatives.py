@@ -1,6 +1,6 @@
 """Derivatives of F in closed form: for the steps of a search, and for Laplace's approximation.
 
-Let s = C⁻¹r at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
+Let s = C⁻¹Δ at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
 one entry it changes by ½ (C⁻¹_ii - s_i²). By the covariance of a path it changes by ½ (N - Σ UᵀU - s sᵀ), summed over
 its recordings. By the covariance ρ² W of the recordings of one partial it changes by ½ (C⁻¹ - s sᵀ), summed over
 partials. From this follow the derivatives by ρ and by the velocities. A censored partial adds -log Φ(z),

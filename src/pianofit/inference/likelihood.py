@@ -5,7 +5,7 @@
     m_gk ~ N(0, 2 τ̂²)   h[·,k] ~ N(0, ρ² W)      W_rs: a random walk over log v, without its mean over the recordings
     of a path
 
-The symbols are those of docs/fitting.md. The residual is d = y - L.
+The symbols are those of docs/fitting.md. The residual is Δ = y - L.
 
 A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
 string's own smooth deviation from its model, a systematic error of the analysis. The columns B describe what one
@@ -15,7 +15,7 @@ velocity; ρ is the size of the walk over an e-fold of velocity. All four are in
 is a scale mixture, whose log-weights w are unknowns like the others. Reweighting is therefore descent on the same
 function:
 
-    F = ½ dᵀC⁻¹d + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
+    F = ½ ΔᵀC⁻¹Δ + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
 
 Undetected partials are censored: the predictive distribution of each, given all detected partials, lies below the bound
 of its band. One velocity alone does not determine τ. τ, and whether recordings share a gain, are summed over the nodes
@@ -246,7 +246,7 @@ class Predicted(NamedTuple):
 
 
 def predicted(table: ObservationTable, p: CovarianceFactors, residual: Values, q: Values, at: Values) -> Predicted:
-    """Predict entries `at` [N, 2] from the residual [B, R, K] and q = U d [B, T, M, Q]."""
+    """Predict entries `at` [N, 2] from the residual [B, R, K] and q = U Δ [B, T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
     group, same_partial = table.group[r].T, k[:, None] == np.arange(residual.shape[2])
     rows = group[:, :, None] * p.prior[:, :, :, k]
@@ -271,8 +271,8 @@ class NodeSolutions(NamedTuple):
 
     nll_per_node: Values  # F [B, T, M]
     factors: CovarianceFactors
-    precision_residual: Values  # C⁻¹d [B, T, M, R, K]
-    q: Values  # U d [B, T, M, Q]
+    precision_residual: Values  # C⁻¹Δ [B, T, M, R, K]
+    q: Values  # U Δ [B, T, M, Q]
     censored: Predicted
     standardised: Values  # bound minus mean of the censored entries, in standard deviations [B, T, M, N]
     conditional_sd: Values  # these standard deviations, dB
@@ -287,7 +287,7 @@ def solve_nodes(
     U = flattened(p.U)
     q = (U @ flattened(residual)[:, None, None, :, None])[..., 0]
     precision_residual = before[:, :, None] - (q[..., None, :] @ U).reshape(*q.shape[:3], *residual.shape[1:])
-    # dᵀC₀⁻¹d and qᵀq
+    # ΔᵀC₀⁻¹Δ and qᵀq
     square = (before * residual[:, None]).sum(axis=(2, 3))[:, :, None] - (q**2).sum(axis=3)
     at = table.censored
     censored = predicted(table, p, residual, q, at)
@@ -311,8 +311,8 @@ def pointwise(
 ) -> tuple[Values, Values]:
     """Log density of each detected entry given all others [R, K], and of each censored entry given these [N].
 
-    Entries share paths and columns, so F has no separate term of each. With C⁻¹ and s = C⁻¹d, entry i is normal about
-    d_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
+    Entries share paths and columns, so F has no separate term of each. With C⁻¹ and s = C⁻¹Δ, entry i is normal about
+    Δ_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
     over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
     s = solve_nodes(table, residual[None], phi[None], w[None], theta[None], xp)
