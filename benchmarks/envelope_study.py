@@ -79,7 +79,7 @@ def line(name: str, row: dict) -> str:
 def main() -> None:
     """Print the table."""
     from pianofit.program_folder import enable_program_cache
-    from pianofit.threads import one_blas_thread
+    from pianofit.threads import numerical_settings
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
@@ -88,7 +88,7 @@ def main() -> None:
     enable_program_cache()
     tool, wanted, results = realism.measure(), [x for x in options.notes.split(",") if x], {}
     header()
-    with one_blas_thread():
+    with numerical_settings():
         for folder in crossval.folders():
             for name, job in crossval.notes(folder).items():
                 if not wanted or any(x in name for x in wanted):

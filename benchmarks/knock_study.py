@@ -49,7 +49,7 @@ def main() -> None:
     wanted = [name for name in parser.parse_args().notes.split(",") if name]
     from pianofit.dsp import knock_band
     from pianofit.program_folder import enable_program_cache
-    from pianofit.threads import one_blas_thread
+    from pianofit.threads import numerical_settings
 
     enable_program_cache()
     knock_band.FEWEST_PERIODS = 0.0
@@ -58,7 +58,7 @@ def main() -> None:
     for name, job in jobs.items():
         if wanted and not any(x in name for x in wanted):
             continue
-        with one_blas_thread():
+        with numerical_settings():
             found = follows(*job)
         if len(found) < 3:
             continue

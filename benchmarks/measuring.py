@@ -136,9 +136,9 @@ def modal_response_of(result: Result) -> ModalResponse | None:
     """
     from pianofit.modal_response.model_selection import _layers
     from pianofit.modal_response.shared_response import estimate_shared_response
-    from pianofit.threads import one_blas_thread
+    from pianofit.threads import numerical_settings
 
-    with one_blas_thread():
+    with numerical_settings():
         layers = _layers(result)
         modes = layers.modes()
         if not modes:

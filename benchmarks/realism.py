@@ -284,7 +284,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     from pianofit.program_folder import enable_program_cache
-    from pianofit.threads import one_blas_thread
+    from pianofit.threads import numerical_settings
 
     enable_program_cache()
     tool, wanted = measure(), [x for x in options.notes.split(",") if x]
@@ -294,7 +294,7 @@ def main() -> None:
         for name, job in crossval.notes(folder).items()
         if not wanted or any(x in name for x in wanted)
     }
-    with one_blas_thread():
+    with numerical_settings():
         if options.constants:
             found = constants({name: left_out(fitted(*job), tool) for name, job in chosen.items()}, tool)
         else:

@@ -159,7 +159,7 @@ def take_time(key: str) -> None:
     from pianofit import analyse, load_recording
     from pianofit.modal_response.aligned_layers import align_layers
     from pianofit.modal_response.modes import modes_of
-    from pianofit.threads import one_blas_thread
+    from pianofit.threads import numerical_settings
 
     keys = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
     if key not in keys:
@@ -168,7 +168,7 @@ def take_time(key: str) -> None:
     recordings = [load_recording(file) for file in files]
     analyses = [analyse(recording, note=note) for recording in recordings]
     before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
-    with one_blas_thread():
+    with numerical_settings():
         aligned = align_layers(recordings, analyses)
         modes = modes_of(aligned, analyses)
     wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)

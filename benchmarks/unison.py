@@ -33,7 +33,7 @@ from pianofit.modal_response import partial_band
 from pianofit.modal_response.aligned_layers import align_layers
 from pianofit.modal_response.modes import SLOWEST, PartialModes, common_pattern, modes_of, synthesise
 from pianofit.modal_response.valid_frames import select_valid_frames
-from pianofit.threads import one_blas_thread
+from pianofit.threads import numerical_settings
 
 # Number of partials to fit, those with the highest signal-to-noise ratio. More add time and little information.
 MOST = 16
@@ -98,7 +98,7 @@ class Unison:
 def bands_of(recordings: Sequence[Recording], note: float | str) -> Bands:
     """Return the bands of the partials of a key with the highest SNR, without their neighbours, as in `modes_of`."""
     analyses = [analyse(x, note=note) if isinstance(note, str) else analyse(x, f0=note) for x in recordings]
-    with one_blas_thread():
+    with numerical_settings():
         aligned = align_layers(recordings, analyses)
         modes = sorted(modes_of(aligned, analyses), key=lambda m: -m.snr.max())[:MOST]
     rows, samples = [], aligned.samples.shape[-1]

@@ -26,7 +26,7 @@ from pianofit.analysis.inharmonicity import decay_law, frequency_law
 from pianofit.analysis.note_names import midi_to_note, note_to_hz, note_to_midi
 from pianofit.dsp.bands import kaiser_bands
 from pianofit.dsp.level import energy_level
-from pianofit.errors import AnalysisError, RecordingError
+from pianofit.errors import AnalysisError, ParameterError, RecordingError
 from pianofit.recording.recording import Recording, recording_from_samples
 
 RATE, LEAD = 44100, 0.05
@@ -526,6 +526,16 @@ def test_f0_in_place_of_a_note():
     assert analyse(recording, f0=108.0).f0 == pytest.approx(110.0, rel=1e-5)
     with pytest.raises(AnalysisError, match="f0=9 Hz"):
         analyse(recording, f0=9.0)
+    assert analyse(recording, f0=108.0, note="A2").f0 == pytest.approx(110.0, rel=1e-5)
+    with pytest.raises(ParameterError, match="f0=108 Hz is not note C4"):
+        analyse(recording, f0=108.0, note="C4")
+
+
+def test_errors_of_floats_are_those_of_numpy_whatever_the_caller_chose():
+    recording = string(*STRINGS["A2"], seed=8).recording(seconds=2.0)
+    with np.errstate(all="raise"):
+        assert analyse(recording, note="A2").f0 == pytest.approx(110.0, rel=1e-5)
+        assert np.geterr()["under"] == "raise"
 
 
 def test_too_short_for_the_note():

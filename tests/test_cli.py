@@ -128,7 +128,8 @@ def test_a_folder_that_is_not_ours_is_refused(command, tmp_path, capsys):
     assert "locked" in capsys.readouterr().err
 
 
-def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, number):
     out = tmp_path / "runs" / "out"
     # Send the signal after the fit has begun. The progress bar cannot show that, because it needs a terminal.
     begin = (
@@ -145,9 +146,12 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
         assert process.stdout.readline() == "begun\n"
         assert out.is_dir()
         time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
+        # Another command does not write to the same folder.
+        assert main(["fit", str(tmp_path / "note.wav"), "--note", "D3", "--out", str(out), "--force"]) == 1
+        process.send_signal(number)
         output, errors = process.communicate(timeout=180)
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
+    assert "another command is writing" in capsys.readouterr().err
     assert errors == "pianofit: interrupted; nothing more is written\n"
     assert output == ""
     assert [p.name for p in tmp_path.iterdir()] == ["note.wav"]

@@ -216,6 +216,9 @@ def test_recordings_that_do_not_belong_are_named():
     recordings, analyses = through(SEVERAL)
     with pytest.raises(FitError, match=r"0-close\.wav and 0-close\.wav are the same recording"):
         fit_recordings([recordings[0]] * 2, [analyses[0]] * 2)
+    other_file = replace(recordings[0], path="copy.flac", sha256="0" * 64)
+    with pytest.raises(FitError, match=r"copy\.flac and 0-close\.wav are the same recording"):
+        fit_recordings([recordings[0], other_file], [analyses[0]] * 2)
     sharp = replace(analyses[1], f0=analyses[1].f0 * 2 ** (1 / 12))
     with pytest.raises(FitError, match=r"1-close\.wav: its pitch.* cents from that of the other recordings"):
         fit_recordings(recordings, [analyses[0], sharp, analyses[2]])

@@ -145,7 +145,7 @@ def test_a_sampler_is_exported(built, tmp_path):
         "export", built, "--out", tmp_path / "sampler", "--velocity-layers", 2, "--keys", "F#3,A#3", "--seconds", 0.3
     )
     assert done.exit_code == 0, done.output
-    assert "2 keys sampled, 1 of them a guess (never recorded); 6 transposed from them" in done.output
+    assert "2 keys sampled, 1 of them a guess (never recorded); 15 transposed from them" in done.output
     assert len(list((tmp_path / "sampler" / "samples").iterdir())) == 2 * (2 + 1)
     assert (tmp_path / "sampler" / "twin.sfz").is_file()
 
@@ -164,7 +164,7 @@ def test_an_export_fills_gaps_and_names_silent_keys(built, tmp_path):
     asked = ("--velocity-layers", 1, "--keys", "C3,C5", "--seconds", 0.1)
     filled = run("export", built, "--out", tmp_path / "filled", *asked)
     assert "to fill gaps: C4" in filled.output
-    assert "52 keys silent: A0 to F#2, G5 to C8" in filled.output
+    assert "51 keys silent: A0 to F2, G5 to C8" in filled.output
     whole = run("export", built, "--out", tmp_path / "open", *asked, "--no-fill")
     assert "62 keys silent: A0 to F2, G3 to F4, G5 to C8" in whole.output
 
@@ -217,6 +217,20 @@ def test_a_hostile_fit_is_refused(tmp_path):
     odd["minima"][0]["parameters"]["M_H"] *= -1
     with pytest.raises(FitError, match=r"minima\[0\] must have .* above 0 of M_H"):
         load_keys([write_fit(tmp_path, 60, odd)])
+    for change, message in (
+        ({"mu": None}, "above 0 of mu"),
+        ({"p": 1e300}, "far beyond the ranges of p"),
+        ({"kappa": 1e300}, "far beyond the ranges of kappa"),
+    ):
+        odd = copy.deepcopy(good)
+        values = odd["minima"][0]["parameters"] | change
+        odd["minima"][0]["parameters"] = {name: value for name, value in values.items() if value is not None}
+        with pytest.raises(FitError, match=rf"minima\[0\] .*{message}"):
+            load_keys([write_fit(tmp_path, 60, odd)])
+    odd = copy.deepcopy(good)
+    odd["minima"][0]["stroke_values"] = [1e300]
+    with pytest.raises(FitError, match=r"minima\[0\] is far beyond the ranges of v_H0"):
+        load_keys([write_fit(tmp_path, 60, odd)])
     odd = copy.deepcopy(good)
     odd["minima"][0]["covariance"]["matrix"][0][0] = -1.0
     with pytest.raises(FitError, match=r"minima\[0\]\.covariance"):
@@ -261,6 +275,7 @@ BAD_INSTRUMENTS = {
     "text": (changed("keys.0.string.c", "fast"), r"keys\[0\].string.c = 'fast' must be a number"),
     "nan": (changed("keys.0.hammer.p", float("nan")), "not an instrument.json"),
     "huge": (changed("keys.0.gain", 10**400), "not an instrument.json|gain = 1000"),
+    "no gain": (changed("keys.0.gain", 0), "gain must not be 0"),
     "range": (changed("keys.0.string.c", 1e9), r"keys\[0\]: c=1000000000.0 must be a number from 20"),
     "off the string": (changed("keys.0.geometry.strike_position", 99.0), r"keys\[0\].*99.0 m"),
     "gain": (changed("keys.5.gain", None), r"keys\[5\].gain = None must be a number"),

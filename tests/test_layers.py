@@ -37,7 +37,7 @@ USES = {
     "monotone_cubic": "",
     "sobol": "",
     "x64": "io parameters threads",
-    "analysis": "dsp io recording",
+    "analysis": "dsp io recording threads",
     "criterion": "analysis",
     "literature": "analysis monotone_cubic parameters",
     "felt": "excitation io literature parameters x64",

@@ -74,7 +74,7 @@ BAD_SONGS = {
     "no track": (b"MThd\0\0\0\6\0\1\0\1\1\xe0", "holds no note"),
     "no notes": (midi_bytes(mido.MetaMessage("set_tempo", tempo=500_000)), "holds no note"),
     "drums": (midi_bytes(on(60, channel=9)), "holds no note"),
-    "beyond": (midi_bytes(on(20), on(109)), "holds no note from A0 to C8"),
+    "beyond": (midi_bytes(on(20), on(109)), "holds no note from A0 to C8 outside channel 10"),
     "long": (midi_bytes(on(60), *[on(60, 1, 2**27) for _ in range(2)]), "lasts more than 30 minutes"),
     "many": (midi_bytes(*[on(60, 1, 1)] * (MOST_NOTES + 1)), "more than 100,000 notes"),
     "type 2": (song(b"", NOTE, form=2), "type 2"),

@@ -311,8 +311,11 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
     assert mass == pytest.approx(true, rel=0.01)
 
 
-@pytest.mark.parametrize(("file", "near"), [("Tone.flac", ["tone.wav"]), ("tone.wav", []), ("tone2.wav", [])])
+@pytest.mark.parametrize(("file", "near"), [("Tone.flac", ["tone.wav"]), ("tone.wav", []), ("tone2.wav", [""])])
 def test_a_misspelt_recording_of_the_setup_is_told(file, near):
+    """Also one that is like none, if no other is used; a setup may list more recordings than a fit has."""
+    known = setup(recording=[{"file": "tone.wav"}, {"file": "tone2.wav", "v_H0": 1.0}])
+    assert build_problem([tone(name="tone.wav")], [played()], known).unmatched_entries == ()
     known = setup(recording=[{"file": file, "v_H0": 1.0}])
     posed = build_problem([tone(name="tone.wav")], [played()], known)
     assert [other for _, other in posed.unmatched_entries] == near

@@ -76,6 +76,11 @@ CALLS = {
     "velocity of a sound": lambda x: NOTE.render(x),
     "velocity of levels": lambda x: NOTE.levels(x),
     "cents": NOTE.with_cents,
+    "path of a fit": lambda x: pf.find_fits([x]),
+    "path of a key": lambda x: pf.load_keys([x]),
+    "path of an instrument": pf.load_instrument,
+    "path of a listening test": lambda x: pf.write_listening_test("a", "b", x),
+    "seed of a song": lambda x: pf.PlayOptions(seed=x).check(),
 }
 
 
@@ -97,6 +102,8 @@ def faults() -> Iterator[str]:
             words = refusal(call, wrong)
             if words is None or name.split()[0] not in words or "\n" in words:
                 yield f"{name} = {wrong!r}: {words!r}"
+    if "velocity" not in (words := refusal(lambda x: pf.fit(recording(), velocity=x), True) or ""):
+        yield f"velocity = True: {words!r}"
     for number in (True, np.array([1.0, 2.0]), "2"):
         if "force" not in (words := refusal(lambda x: pf.pluck(modes(), x), number) or ""):
             yield f"force = {number!r}: {words!r}"

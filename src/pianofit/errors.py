@@ -45,7 +45,7 @@ class OutputError(PianofitError):
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
     """Raise a `ParameterError` if `value` is not a number in the range. Messages begin with `name`, as "layers="."""
-    if not (isinstance(value, Real) and low <= value <= high):
+    if isinstance(value, bool) or not (isinstance(value, Real) and low <= value <= high):
         raise ParameterError(f"{name}{_short(value)}{unit} must be from {_bound(low)} to {_bound(high)}{hint}")
 
 

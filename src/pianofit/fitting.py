@@ -15,7 +15,7 @@ from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording.recording import Recording, Source, load_recordings
 from .setup import Measured, RecordingInfo, Setup, to_setup
-from .threads import check_process, cores, one_blas_thread
+from .threads import check_process, cores, numerical_settings
 
 if TYPE_CHECKING:
     from .inference import RecordingObjective
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 MAX_BUDGET = 1000
 
 
-@one_blas_thread()
+@numerical_settings()
 def fit(
     *recordings: Source,
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     note: str | int | None = None,
     f0: float | None = None,
     velocity: float | None = None,
-    channel: str = "average",
+    channel: str | int = "average",
     intervals: str = "laplace",
     seed: int = 0,
     progress: Progress | bool | None = None,
@@ -108,14 +108,14 @@ def fit(
         return fit_modal_response(build_result(inference), report)
 
 
-@one_blas_thread()
+@numerical_settings()
 def objective(
     *recordings: Source,
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     note: str | int | None = None,
     f0: float | None = None,
     velocity: float | None = None,
-    channel: str = "average",
+    channel: str | int = "average",
     analyses: Sequence[Analysis] | None = None,
 ) -> RecordingObjective:
     """Return the objective F of recordings of one key as a function of JAX of the parameters.
@@ -155,7 +155,7 @@ def objective(
     return objective_of(build_problem(sounds, analyses, setup, velocity))
 
 
-@one_blas_thread()
+@numerical_settings()
 def analyse_all(
     recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None
 ) -> list[Analysis]:
@@ -221,7 +221,7 @@ def given_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None
 def read_and_analyse(
     recordings: Sequence[Source],
     analyses: Sequence[Analysis] | None,
-    channel: str,
+    channel: str | int,
     note: str | int | None,
     f0: float | None,
     progress: Progress,

@@ -1,4 +1,4 @@
-"""Numbers of processes and threads, and threads of BLAS, which would compete with ours."""
+"""Numbers of processes and threads, and the settings of numerical libraries that computations need."""
 
 from __future__ import annotations
 
@@ -47,13 +47,19 @@ def cores() -> int:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Limit the BLAS of NumPy and SciPy to one thread, and restore the previous limit. Also a decorator.
+def numerical_settings() -> Iterator[None]:
+    """Limit the BLAS of NumPy and SciPy to one thread, and handle errors of floats as NumPy does by default.
+
+    The settings of the caller are restored. Also a decorator.
 
     A fit processes several matrices of about 20 to 200 rows at once. Otherwise OpenBLAS waits for busy cores, and a fit
-    can take ten times as long.
+    can take ten times as long. Decayed sounds underflow, which a caller may have made an error by `numpy.seterr`.
     """
+    import numpy as np
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(limits=1, user_api="blas"):
+    with (
+        threadpool_limits(limits=1, user_api="blas"),
+        np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"),
+    ):
         yield

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from numbers import Real
 
 import numpy as np
 
@@ -11,12 +12,13 @@ from ..conversions import CENTS
 from ..dsp.bands import kaiser_bands
 from ..errors import AnalysisError, ParameterError, WrongNoteError, check_type
 from ..recording.recording import Recording, Source, to_recording
+from ..threads import numerical_settings
 from .analysis_result import Analysis, Partials
 from .baseband_fit import FittedBands, absent_level_bounds, fit_bands
 from .glide import PitchGlide, glide_detected, glide_windows, remove_glide
 from .inharmonicity import DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation, tension_share
 from .measure_knock import measure_knock
-from .note_names import hz_to_note, midi_to_note, note_to_midi
+from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .numbering import number_partials
 from .partials import LEAST_SNR, measure_partials
 from .pitch import check_length, find_pitch
@@ -25,6 +27,7 @@ from .spectrum import highest_partial, noise_between
 from .warnings import analysis_warnings
 
 
+@numerical_settings()
 def analyse(recording: Source, *, note: str | int | None = None, f0: float | None = None) -> Analysis:
     """Detect and measure the partials of one struck note.
 
@@ -32,7 +35,7 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     ----------
     recording : a path, a `Recording`, or (samples, rate), as for `fit`.
     note : name, such as "F#2", or MIDI number. The pitch is searched within a semitone of it.
-    f0 : the same in Hz. It takes precedence over `note`.
+    f0 : the same in Hz. A note that is given too must be within a semitone of it.
 
     Returns
     -------
@@ -55,6 +58,11 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     >>> f"{analysis.f0:.1f} Hz, B = {analysis.B:.2g}, {len(analysis.partials)} partials"
     '175.0 Hz, B = 0.00017, 55 partials'
     """
+    named = None if note is None else note_to_hz(note)  # before the recording is blamed
+    if named is not None and f0 is not None:
+        check_type("f0=", f0, Real, "a frequency in Hz")
+        if not (f0 > 0 and abs(cents_above(f0, named)) <= 100.0):
+            raise ParameterError(f"f0={f0:g} Hz is not note {note}, {named:.1f} Hz; give one of them")
     recording = to_recording(recording)
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: 20 * rate]  # the end adds no information

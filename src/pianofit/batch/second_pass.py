@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import SetupError
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .job import Job
 from .library_files import first_of
 from .records import Status, Store
@@ -108,7 +108,7 @@ def _archive(store: Store, alone: Store, jobs: Sequence[Job]) -> None:
         alone.commit(record, {name: content for name, content in contents.items() if content is not None})
 
 
-@one_blas_thread()  # the last digits of a prior, and so the hash of a job, must not depend on the number of threads
+@numerical_settings()  # the last digits of a prior, and so the hash of a job, must not depend on the number of threads
 def _with_priors(alone: Store, jobs: Sequence[Job]) -> list[Job]:
     """The jobs of the second pass. A job without a first fit, or without one of another key, has no prior."""
     from ..instrument import load_keys, prior_of_key

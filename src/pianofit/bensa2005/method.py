@@ -46,7 +46,7 @@ def fit(
     note: str | int | None = None,
     f0: float | None = None,
     velocity: float | None = None,
-    channel: str = "average",
+    channel: str | int = "average",
     method: str = "paper",
     evaluations: int | None = None,
     seed: int = 0,

@@ -21,7 +21,7 @@ from ..errors import PianofitError, SetupError, check_range
 from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
-from ..recording.measurements import check_channel
+from ..recording.measurements import checked_channel
 from ..setup import Setup
 from . import options
 from .fits import setup_of_options
@@ -114,7 +114,7 @@ def batch(
         check_range("memory=", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
         check_range("time_limit=", time_limit, 1, 1e6, " s")
         check_seed(seed)
-        check_channel(channel)
+        checked_channel(channel)
         from ..batch import (
             check_cluster,
             layout_remarks,

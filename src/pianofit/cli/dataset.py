@@ -89,7 +89,8 @@ def _ends(keys: str) -> tuple[str, str]:
     """Return the lowest and the highest key of a range."""
     from ..analysis.note_names import midi_to_note, parse_keys
 
-    chosen = parse_keys(keys)
-    if len(chosen) != chosen[-1] - chosen[0] + 1:
+    high = keys.partition("-")[2]
+    if not high or "," in keys:
         raise ParameterError(f"keys={keys!r} must be one range, such as C2-C6")
+    chosen = parse_keys(keys)
     return midi_to_note(chosen[0]), midi_to_note(chosen[-1])

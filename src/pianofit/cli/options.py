@@ -93,7 +93,7 @@ Even = Annotated[
 Note = Annotated[
     str | None, text("NOTE", "Note: F#2, Fs2, Gb2 or its MIDI number, 42.", default="detected in the recording")
 ]
-Pitch = Annotated[float | None, real("HZ", "Pitch of the note in Hz, instead of --note.", "--f0")]
+Pitch = Annotated[float | None, real("HZ", "Pitch of the note in Hz, in place of --note, or with it.", "--f0")]
 Channel = Annotated[str, text("CHANNEL", "Channel of the file: average, left, right, or a number from 1.")]
 Recordings = Annotated[
     list[Path],

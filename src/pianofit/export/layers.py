@@ -80,13 +80,13 @@ class SamplerContent(NamedTuple):
 
 
 def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
-    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends.
+    """Range of keys that each sampled key plays: half-way to its neighbours, and as far as allowed at both ends.
 
     If possible, keys with and without a damper are not played by one sampled key.
     """
     gaps = [b - a for a, b in pairwise(keys)]
-    below = [gaps[0] if gaps else 1, *gaps]
-    above = [*gaps, gaps[-1] if gaps else 1]
+    outside = 2 * LARGEST_TRANSPOSITION + 1
+    below, above = [outside, *gaps], [*gaps, outside]
     spans = []
     for key, down, up in zip(keys, below, above, strict=True):
         low, high = key - min((down - 1) // 2, LARGEST_TRANSPOSITION), key + min(up // 2, LARGEST_TRANSPOSITION)

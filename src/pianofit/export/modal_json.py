@@ -23,7 +23,7 @@ from ..model.note import Note
 from ..playback.cached_strike import StringTables, strike_string, string_tables
 from ..schema.decode import encode_json
 from ..schema.modes_file import ForceEntry, ModeColumns, ModesFile, ModesKey, integers
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 
 RATE = 48_000  # Hz
 # MIDI velocities of the forces: between two neighbours the level of a partial changes by about 5 dB at most, so that a
@@ -42,7 +42,7 @@ class ModalSummary(NamedTuple):
     bytes: int
 
 
-@one_blas_thread()
+@numerical_settings()
 def write_modal_json(
     path: str | os.PathLike[str],
     instrument: Instrument,

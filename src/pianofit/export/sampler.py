@@ -22,9 +22,9 @@ from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
 from ..io.containers import RATES
-from ..io.files import cleanup_on_interrupt, encode_pcm, printable, write_error
+from ..io.files import as_path, cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import CHANNELS, StringVoice
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
 from .layers import (
     LOUDEST,
@@ -62,10 +62,10 @@ class ExportSummary(NamedTuple):
     silent_keys: list[int]  # MIDI keys without a sample in reach
 
 
-@one_blas_thread()
+@numerical_settings()
 def export_sampler(
     instrument: Instrument,
-    out: Path,
+    out: str | os.PathLike[str],
     keys: Sequence[int],
     options: ExportOptions,
     *,
@@ -112,7 +112,7 @@ def export_sampler(
     _check(instrument, keys, options, to)
     options = options._replace(resonance=options.resonance and instrument.resonates)
     try:
-        out = out.resolve()
+        out = as_path(out).resolve()
         _check_target(out, force)
         work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
         old = work.with_suffix(".old")

@@ -16,7 +16,7 @@ from ..io.table_output import require_optional
 from ..progress import Progress
 from ..recording.recording import Recording
 from ..setup import Setup
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .batched_model import LevelModel, compile_ahead
 from .derivatives import LatentPosterior, latent_posterior
 from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, laplace
@@ -127,7 +127,7 @@ class InferenceResult:
         return np.asarray(table.value) - latent.residual - latent.discrepancy
 
 
-@one_blas_thread()
+@numerical_settings()
 def run_inference(
     recordings: Sequence[Recording],
     analyses: Sequence[Analysis],

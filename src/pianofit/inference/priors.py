@@ -215,7 +215,15 @@ def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]
     given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
     own = given | {"strike_position": setup.strike_position, "pickup": setup.pickup_position}
     assumed = tuple(name for name, value in given.items() if value is None)
-    return geometry._replace(**{name: value for name, value in own.items() if value is not None}), assumed
+    geometry = geometry._replace(**{name: value for name, value in own.items() if value is not None})
+    half, at = 0.5 * geometry.width, geometry.strike_position
+    if setup.law.has_contact and not half <= at <= geometry.length - half:
+        source = "the literature's" if setup.strike_position is None else "the given"
+        raise SetupError(
+            f"[strike] width = {geometry.width:g} m does not fit on the string at {source} strike position, {at:.3g} m "
+            f"of {geometry.length:.3g} m; correct width, position or [string] length"
+        )
+    return geometry, assumed
 
 
 def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:

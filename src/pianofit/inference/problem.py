@@ -204,7 +204,7 @@ def _check_recordings(recordings: Sequence[Recording], analyses: Sequence[Analys
     names = [printable(Path(r.path).name) for r in recordings]
     for i, (name, recording, analysis) in enumerate(zip(names, recordings, analyses, strict=True)):
         for other in range(i):
-            if recording.sha256 == recordings[other].sha256:
+            if recording.has_sound_of(recordings[other]):
                 raise FitError(f"{name} and {names[other]} are the same recording; give it once")
         if len(recordings) > 1 and len(analysis.partials) < FEWEST:
             raise FitError(f"{name}: only {counted(len(analysis.partials), 'partial')} above its noise; leave it out")
@@ -217,16 +217,17 @@ def _check_recordings(recordings: Sequence[Recording], analyses: Sequence[Analys
 
 
 def _unmatched(setup: Setup, recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
-    """Files of the setup that are probably misspelt; their measured values would be ignored.
+    """Files of the setup that are probably misspelt, whose measured values are not used, and the similar file.
 
-    A setup may name more recordings than one fit uses.
+    A setup may name more recordings than one fit uses. If it names none of them, all its files are returned; the
+    similar file is empty if there is none.
     """
     listed = {Path(entry.file).name for entry in setup.recordings if entry.file}
     names = {Path(recording.path).name for recording in recordings}
     # L1 instead of L2 is another recording, .wav instead of .flac is not.
     stems = {Path(name).stem.lower(): name for name in names - listed}
     similar = [(file, stems.get(Path(file).stem.lower())) for file in sorted(listed - names)]
-    return tuple((file, name) for file, name in similar if name)
+    return tuple((file, name or "") for file, name in similar if name or not listed & names)
 
 
 def _structure(entries: Sequence[RecordingInfo]) -> RecordingStructure:

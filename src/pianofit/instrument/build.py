@@ -22,7 +22,7 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..schema.extras import KeyExtras
 from ..schema.instrument import KeyboardLaw, KeyValue, OwnFit
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .bridge import measure_bridge
 from .collect_fits import KeyFit, scale_key
 from .dampers import damper_law
@@ -51,7 +51,7 @@ NAMED_SD = 4.0
 DECIDED = 0.5
 
 
-@one_blas_thread()
+@numerical_settings()
 def build_instrument(
     keys: Sequence[KeyFit], name: str = "", even: float = 0.0, extras: Sequence[KeyExtras] = ()
 ) -> Instrument:

@@ -9,6 +9,7 @@ recordings of other keys are set to the velocities that their own MIDI velocitie
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,15 +25,15 @@ from ..excitation import Excitation
 from ..felt import SoftHammer, law_of
 from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
-from ..io.files import printable
+from ..io.files import as_path, printable
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
-from ..parameters import Hammer
+from ..parameters import PARAMETERS, Hammer
 from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
 from ..schema.fit import HINT, Fit, key_files, read_fit
 from ..schema.instrument import FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .key_measurements import fitted_values, measurements_of, needed
 from .key_quantities import soft_hammer, stroke_level, within_ranges
 from .keyboard_posterior import KeyMeasurements, Measurement
@@ -40,6 +41,8 @@ from .velocity_curve import loudest_velocities
 
 # Number of lowest partials whose beating and decays are listed.
 LOWEST_PARTIALS = 4
+# Largest value of a minimum over the upper end of its range: the mean of a Gaussian may lie a little beyond.
+BEYOND = 10.0
 # Largest distance of a pitch from the key in the folder's name, semitones. Pianos may be out of tune.
 LARGEST_MISTUNING = 1.5
 # Name of an instrument and of a key, with a separator or with a capital letter: "take2" does not contain the key E2.
@@ -63,7 +66,7 @@ class KeyFit:
         return law_of(self.note.hammer)
 
 
-def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
+def find_fits(paths: Sequence[str | os.PathLike[str]], prefix: str | None = None) -> list[Path]:
     """Find the `fit.json` files among paths.
 
     Parameters
@@ -88,6 +91,7 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     ['cp80-C4', 'cp80-E4']
     """
     found: list[Path] = []
+    paths = [as_path(path) for path in paths]
     for path in paths:
         if path.is_file():
             found.append(path)
@@ -107,7 +111,8 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     several = sorted({name for name in owners.values() if name})
     if len(several) > 1:
         named = ", ".join(map(printable, several))
-        raise FitError(f"{printable(paths[0])}: holds several instruments, {named}; choose one by --prefix")
+        folders = ", ".join(map(printable, paths))
+        raise FitError(f"{folders}: these fits are of several instruments, {named}; choose one by --prefix")
     return found
 
 
@@ -160,8 +165,8 @@ def _names_of(file: Path) -> tuple[str, int | None]:
     return (match[1], note_to_midi(match[2])) if match else ("", None)
 
 
-@one_blas_thread()
-def load_keys(files: Sequence[Path]) -> list[KeyFit]:
+@numerical_settings()
+def load_keys(files: Sequence[str | os.PathLike[str]]) -> list[KeyFit]:
     """Read the fit of one key from every file.
 
     Parameters
@@ -187,7 +192,7 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     """
     found: dict[int, _CheckedFit] = {}
     for file in files:
-        key = _checked_fit(file)
+        key = _checked_fit(as_path(file))
         if (other := found.get(key.midi)) is not None:
             raise FitError(
                 f"{key.name}: is {midi_to_note(key.midi)}, and so is {other.name}; leave one out, or choose an "
@@ -232,7 +237,7 @@ def _checked_fit(file: Path) -> _CheckedFit:
     law = law_of(note.hammer)
     if law.key_quantities and not isinstance(note.hammer, Hammer | SoftHammer):
         raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt {SOFT_SKIN.name}")
-    _check_values(fit, name, law)
+    _check_values(fit, name, note)
     return _CheckedFit(name, fit, note, midi, _sizes(fit, law))
 
 
@@ -273,8 +278,9 @@ def _sizes(fit: Fit, law: Excitation) -> dict[int, float]:
     return {i: abs(fit.recordings[i].gain / fit.reference.gain) for i in group}
 
 
-def _check_values(fit: Fit, name: str, law: Excitation) -> None:
+def _check_values(fit: Fit, name: str, note: Note) -> None:
     """Raise a `FitError` for values that an instrument cannot use."""
+    law = law_of(note.hammer)
     stroke = law.stroke
     for i, recording in enumerate(fit.recordings):
         if not (recording.stroke_value > 0 and recording.gain):
@@ -285,12 +291,17 @@ def _check_values(fit: Fit, name: str, law: Excitation) -> None:
     for i, minimum in enumerate(fit.minima):
         values = minimum.values(fit)
         # A felt may have no loss: `note_at` gives it the smallest one.
-        missing = {x for x in needed(law) if not (values.get(x, -1.0) > 0 or (x == "mu" and values.get(x) == 0))}
+        names = needed(law) | {x for x in law.parameters if x in fit.parameters}
+        missing = {x for x in names if not (values.get(x, -1.0) > 0 or (x == "mu" and values.get(x) == 0))}
         if missing or len(minimum.stroke_values) == 0 or not (minimum.stroke_values > 0).all():
             raise FitError(
                 f"{name}: minima[{i}] must have {law.words.strokes} above 0, {stroke.unit}, and values above 0 of "
                 f"{', '.join(sorted(missing)) or 'its parameters'}; {HINT}"
             )
+        boxes = PARAMETERS | law.hammer_parameters
+        far = {x: value for x, value in values.items() if x in boxes and value > BEYOND * boxes[x].upper}
+        if far or (minimum.stroke_values > BEYOND * stroke.bounds(note.geometry)[1]).any():
+            raise FitError(f"{name}: minima[{i}] is far beyond the ranges of {', '.join(far) or stroke.name}; {HINT}")
         if minimum.covariance is not None and not minimum.covariance.is_valid:
             raise FitError(
                 f"{name}: minima[{i}].covariance must be a finite symmetric matrix without negative eigenvalues; {HINT}"

@@ -11,7 +11,7 @@ from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError, check_range
 from ..excitation import OTHERS
 from ..felt import SoftHammer, check_hammer, law_of, make_hammer
-from ..io.files import printable, replace_file, short_repr
+from ..io.files import as_path, check_ending, printable, replace_file, short_repr
 from ..model.note import Note
 from ..model.simulate import check_geometry
 from ..parameters import HAMMER_NAMES, Geometry, String, check
@@ -63,7 +63,7 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, eve
     Instrument('cp80', 88 keys, 2 recorded)
     """
     check_range("even=", even, 0.0, 1.0)
-    path = Path(path)
+    path = as_path(path)
     file = path / INSTRUMENT_FILE if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         return instrument_of_fits([path], prefix, even)
@@ -200,7 +200,7 @@ def write_instrument(path: str | os.PathLike[str], instrument: Instrument) -> In
 
     Parameters
     ----------
-    path : file to write.
+    path : file to write, whose name ends in .json.
     instrument : as `build_instrument` or `load_instrument` return it.
 
     Returns
@@ -219,6 +219,7 @@ def write_instrument(path: str | os.PathLike[str], instrument: Instrument) -> In
     >>> record.velocity == pianofit.load_instrument("instrument.json").velocity
     True
     """
+    check_ending(path, ".json")
     record = instrument_record(instrument)
     replace_file(path, encode_json(record))
     return record

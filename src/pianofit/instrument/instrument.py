@@ -178,7 +178,9 @@ class Instrument:
         """
         if midi not in self.keys:
             span = f"{midi_to_note(min(self.keys))} to {midi_to_note(max(self.keys))}"
-            raise ParameterError(f"key {midi} is not on this instrument; it has {span}")
+            raise ParameterError(
+                f"key {midi} is not among the {len(self.keys)} keys of {self.name or 'this instrument'}, {span}"
+            )
         return self.keys[midi].note.with_size(self.velocity.at(velocity))
 
     @property

@@ -30,6 +30,10 @@ MAX_CHANNELS = 8
 PEAK_LIMIT = 10 ** (-1 / 20)
 # Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Signals that end a command. Windows has no SIGHUP.
+_ENDS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_CLEANUPS: list[Callable[[], None]] = []  # of all blocks of `cleanup_on_interrupt`, the innermost last
+_FOLDERS: set[Path] = set()  # that this process holds
 
 
 def printable(text: object) -> str:
@@ -37,10 +41,15 @@ def printable(text: object) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
+def as_path(path: str | os.PathLike[str]) -> Path:
+    """Return a path. Raise a `ParameterError` for a value that is not a path."""
+    check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
+    return Path(path)
+
+
 def path_name(path: str | os.PathLike[str]) -> str:
     """Return a path on one line for messages. Raise a `ParameterError` for a value that is not a path."""
-    check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
-    return printable(os.fspath(path))
+    return printable(as_path(path))
 
 
 def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
@@ -121,20 +130,17 @@ def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> Outp
 
 @contextlib.contextmanager
 def output_folder(path: Path, force: bool) -> Iterator[Path]:
-    """Create an output folder if needed, and remove it again if it stays empty.
+    """Create an output folder if needed, hold it, and remove it again if it stays empty.
 
-    Raises `OutputError` if the folder cannot be created, is a file, or is not empty and `force` is False.
+    Raises `OutputError` if the folder cannot be created, is a file, is not empty and `force` is False, or if another
+    process holds it.
     """
     name = printable(path)
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{name}: is a file; give a folder as --out")
     try:
         created = [p for p in (path, *path.parents) if not p.exists()]
         path.mkdir(parents=True, exist_ok=True)
-        if next(path.iterdir(), None) is not None and not force:
-            raise OutputError(
-                f"{name}: the folder is not empty; give another --out, or --force to replace a result in it"
-            )
-        if not os.access(path, os.W_OK | os.X_OK):
-            raise OutputError(f"{name}: the folder is not writable; choose another --out")
     except OSError as error:
         raise OutputError(f"{name}: cannot create the folder ({error.strerror}); choose another --out") from None
 
@@ -145,11 +151,45 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
             for folder in created:
                 folder.rmdir()
 
-    with cleanup_on_interrupt(cleanup):
+    with cleanup_on_interrupt(cleanup), _held(path):
         try:
+            if not os.access(path, os.R_OK | os.W_OK | os.X_OK):
+                raise OutputError(f"{name}: the folder is not writable; choose another --out")
+            if next(path.iterdir(), None) is not None and not force:
+                raise OutputError(
+                    f"{name}: the folder is not empty; give another, or --force to replace a result in it (in Python "
+                    "force=True)"
+                )
             yield path
         finally:
             cleanup()
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a folder for this process, if the system can lock folders; it releases them with the process.
+
+    Raises `OutputError` if another process holds it.
+    """
+    place = folder.resolve()
+    if place in _FOLDERS or sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    with contextlib.ExitStack() as stack:
+        try:
+            handle = os.open(place, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            busy = f"{printable(folder)}: another command is writing to this folder"
+            raise OutputError(f"{busy}; wait for it, or give another --out") from None
+        except OSError:  # a file system without locks, or a folder that cannot be read
+            pass
+        _FOLDERS.add(place)
+        stack.callback(_FOLDERS.discard, place)
+        yield
 
 
 @contextlib.contextmanager
@@ -175,26 +215,36 @@ def locked(lock: Path, busy: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
-    """Make Ctrl-C call `cleanup` and exit immediately with 130.
+    """Make Ctrl-C, SIGTERM and SIGHUP call `cleanup`, and that of each enclosing block, and exit immediately.
+
+    The exit status is 128 and the number of the signal. A signal that is ignored, as by nohup, stays so.
 
     An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
     the process.
     """
-
-    def stop(*_: object) -> None:
-        cleanup()
-        cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
-        os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
-        os._exit(130)
-
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, stop)
+    _CLEANUPS.append(cleanup)
+    before = {number: signal.getsignal(number) for number in _ENDS}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, _stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        _CLEANUPS.pop()
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def _stop(number: int, *_: object) -> None:
+    """Clean up and exit."""
+    for cleanup in reversed(_CLEANUPS):
+        cleanup()
+    cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
+    os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
+    os._exit(128 + number)
 
 
 def check_target(path: Path, force: bool, *endings: str) -> None:
@@ -203,8 +253,7 @@ def check_target(path: Path, force: bool, *endings: str) -> None:
     That is so if its name has none of the `endings`, if it exists and `force` is False, is a folder, or its folder does
     not exist.
     """
-    if endings and path.suffix.lower() not in endings:
-        raise OutputError(f"{printable(path)}: give --out a name that ends in {' or '.join(endings)}")
+    check_ending(path, *endings)
     if path.is_dir():
         raise OutputError(f"{printable(path)}: is a folder; give a file name")
     if path.exists() and not force:
@@ -213,6 +262,12 @@ def check_target(path: Path, force: bool, *endings: str) -> None:
         raise OutputError(
             f"{printable(path)}: the folder {printable(path.parent)} does not exist; create it, or give another --out"
         )
+
+
+def check_ending(path: str | os.PathLike[str], *endings: str) -> None:
+    """Raise an `OutputError` if the name of an output file has none of the `endings`, if there are any."""
+    if endings and as_path(path).suffix.lower() not in endings:
+        raise OutputError(f"{printable(path)}: give the output a name that ends in {' or '.join(endings)}")
 
 
 def json_text(document: dict) -> str:
@@ -254,6 +309,8 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
             f"samples] with at most {MAX_CHANNELS} channels; transpose them, or divide integers by full scale"
         )
+    if not rows.size or not np.isfinite(samples).all():
+        raise ParameterError(f"samples of shape {samples.shape} must be finite, and at least one")
     from scipy.io import wavfile
 
     stream = io.BytesIO()
@@ -277,16 +334,16 @@ def write_wav(path: str | os.PathLike[str], samples: np.ndarray, rate: int) -> N
     Raises
     ------
     ParameterError
-        If `samples` are not floats of a valid shape, or the rate is invalid.
+        If `samples` are not finite floats of a valid shape, or the rate is invalid.
     OutputError
-        If the file cannot be written.
+        If the file cannot be written, or its name does not end in .wav.
 
     Examples
     --------
     >>> import numpy as np, pianofit
     >>> pianofit.write_wav("silence.wav", np.zeros(44_100), 44_100)
     """
-    path_name(path)
+    check_ending(path, ".wav")
     replace_file(path, encode_wav(samples, rate))
 
 

@@ -6,13 +6,14 @@ use only the sound itself.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import RecordingError, check_range
-from ..io.files import printable
+from ..io.files import as_path, printable
 from ..io.number_format import counted
 from ..recording.recording import Recording
 from .artefact_checks import failures
@@ -37,11 +38,11 @@ class ListeningSummary(NamedTuple):
 
 
 def write_listening_test(
-    a: Path,
-    b: Path,
-    folder: Path,
+    a: str | os.PathLike[str],
+    b: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
     *,
-    reference: Path | None = None,
+    reference: str | os.PathLike[str] | None = None,
     trials: int = 16,
     seconds: float = 4.0,
     seed: int = 0,
@@ -91,7 +92,7 @@ def write_listening_test(
     """
     check_range("trials=", trials, 1, MAX_TRIALS)
     check_range("seconds=", seconds, 0.25, 30)
-    sides = [a, b] if reference is None else [a, b, reference]
+    sides, folder = [as_path(side) for side in (a, b, reference) if side is not None], as_path(folder)
     draw = np.random.default_rng(seed)
     labels, (groups, alone) = _labels(sides), pairs_of(sides)
     loaded = {name: load_pair(groups[name]) for name in sorted(draw.permutation([*groups])[:MAX_PAIRS].tolist())}

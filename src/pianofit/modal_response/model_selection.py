@@ -21,7 +21,7 @@ from ..model.modal_response import PRE_ONSET_S, ForcePulse, ModalResponse, force
 from ..model.note import Note
 from ..result import FittedRecording, Result
 from ..schema.modal_response import RENDER_MODELS, FittedModalResponse, LayerEntry, ModalResponseEntry, RenderModel
-from ..threads import cores, one_blas_thread
+from ..threads import cores, numerical_settings
 from .aligned_layers import AlignedLayers, align_layers
 from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
@@ -41,7 +41,7 @@ class _LayerGroup(NamedTuple):
         return modes_of(self.aligned, [layer.analysis for layer in self.fitted])
 
 
-@one_blas_thread()
+@numerical_settings()
 def fit_modal_response(result: Result, progress: Callable[[str, float], None]) -> Result:
     """The fit with a modal response in its notes: aftersound, beating, knock and channels.
 

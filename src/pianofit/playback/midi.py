@@ -163,7 +163,8 @@ def _check_count(notes: int, name: str, remarks: Sequence[str]) -> None:
     if not notes:
         reason = f" ({'; '.join(remarks)})" if remarks else ""
         raise RecordingError(
-            f"{name}: holds no note from A0 to C8{reason}; give a MIDI file with notes, or transpose it"
+            f"{name}: holds no note from A0 to C8 outside channel 10, the drums{reason}; give a MIDI file with "
+            "notes, or transpose it"
         )
 
 

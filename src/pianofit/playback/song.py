@@ -18,7 +18,8 @@ from ..instrument.release_noise import RECORDED_VELOCITY
 from ..io.containers import RATES
 from ..io.files import PEAK_LIMIT
 from ..model.note import MAX_SAMPLES
-from ..threads import one_blas_thread
+from ..parameters import check_seed
+from ..threads import numerical_settings
 from .midi import Song
 from .pedals import KeyMotion, PedalRange, key_motions, releases
 from .resonance import RESONANCE, SILENCE, Stroke, hop_count, mean_contact, render_resonance
@@ -81,6 +82,7 @@ class PlayOptions(NamedTuple):
         check_range("gain_db=", self.gain_db, -60.0, 60.0, " dB")
         check_range("tempo=", self.tempo, 0.1, 10.0)
         check_range("touch=", self.touch, 0.2, 5.0)
+        check_seed(self.seed)
         self.pedal_range.check()
         return self
 
@@ -88,7 +90,7 @@ class PlayOptions(NamedTuple):
 AS_RECORDED = PlayOptions()
 
 
-@one_blas_thread()
+@numerical_settings()
 def render_song(
     instrument: Instrument,
     song: Song,

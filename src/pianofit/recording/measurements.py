@@ -9,7 +9,7 @@ import numpy as np
 from ..dsp.damped_sums import z_transform_at_poles
 from ..dsp.filters import forward_mean, without_drift
 from ..errors import ParameterError, RecordingError
-from ..io.files import printable
+from ..io.files import short_repr
 from ..io.number_format import counted
 
 CHANNELS = ("average", "left", "right", *"12345678")
@@ -99,10 +99,12 @@ def _flat_runs(y: np.ndarray, step: float) -> np.ndarray:
     return runs if np.any(np.maximum(entering, leaving) > overshoot) else runs[:0]  # one clipping level for all runs
 
 
-def check_channel(channel: str) -> None:
-    """Raise a `ParameterError` unless `channel` is the name or number of a channel."""
-    if not (isinstance(channel, str) and channel in CHANNELS):
-        raise ParameterError(f"channel={printable(channel)!r} must be average, left, right, or a number from 1 to 8")
+def checked_channel(channel: str | int) -> str:
+    """Return the name or number of a channel as a text. Raises a `ParameterError` for another value."""
+    name = channel if isinstance(channel, str) else str(channel) if type(channel) is int else ""
+    if name not in CHANNELS:
+        raise ParameterError(f"channel={short_repr(channel)} must be average, left, right, or a number from 1 to 8")
+    return name
 
 
 def select_channels(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:

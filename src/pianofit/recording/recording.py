@@ -17,7 +17,7 @@ from ..errors import ParameterError, RecordingError, check_type
 from ..io.audio import LOSSY, STEPS, decode
 from ..io.containers import check_layout
 from ..io.files import printable, read_file, short_repr
-from .measurements import check_channel, count_clipped, noise_rms, offset, opposite_channels, select_channels
+from .measurements import checked_channel, count_clipped, noise_rms, offset, opposite_channels, select_channels
 from .onset import find_sounds
 
 MAX_BYTES = 2**30
@@ -49,6 +49,10 @@ class Recording:
         """Length of the whole recording, s."""
         return len(self.samples) / self.rate
 
+    def has_sound_of(self, other: Recording) -> bool:
+        """Return true if both hold the same samples, possibly in files of different formats."""
+        return self.rate == other.rate and np.array_equal(self.samples, other.samples)
+
     def __repr__(self) -> str:
         return (
             f"Recording {printable(self.path)}: {self.seconds:.2f} s at {self.rate} Hz, {self.channel} ({self.subtype})"
@@ -59,7 +63,7 @@ class Recording:
 Source = str | os.PathLike[str] | tuple[np.ndarray, int] | Recording
 
 
-def load_recordings(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
+def load_recordings(recordings: Sequence[Source], channel: str | int = "average") -> list[Recording]:
     """Convert paths and (samples, rate) to recordings; items that are recordings are returned unchanged.
 
     Raises `RecordingError` for a sound that cannot be used, and `ParameterError` for another type or channel.
@@ -67,7 +71,7 @@ def load_recordings(recordings: Sequence[Source], channel: str = "average") -> l
     return [to_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
 
 
-def to_recording(source: Source, channel: str = "average", name: str = "recording") -> Recording:
+def to_recording(source: Source, channel: str | int = "average", name: str = "recording") -> Recording:
     """Convert one source to a recording; messages use `name` for an array."""
     if isinstance(source, Recording):
         return source
@@ -80,7 +84,7 @@ def to_recording(source: Source, channel: str = "average", name: str = "recordin
     )
 
 
-def load_recording(path: str | os.PathLike[str], *, channel: str = "average") -> Recording:
+def load_recording(path: str | os.PathLike[str], *, channel: str | int = "average") -> Recording:
     """Read a sound file of 8 to 384 kHz and 1 to 8 channels.
 
     WAV, AIFF, Wave64, RF64, CAF and AU hold PCM of 16, 24 or 32 bit, or floats; FLAC holds 16 or 24 bit. OGG Vorbis,
@@ -89,7 +93,7 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
     Parameters
     ----------
     path : path of the file.
-    channel : "average", "left", "right", or the number of a channel, "1" to "8".
+    channel : "average", "left", "right", or the number of a channel, 1 to 8.
 
     Returns
     -------
@@ -109,7 +113,7 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
     >>> pianofit.load_recording("tone.wav")
     Recording tone.wav: 1.00 s at 44100 Hz, mono (FLOAT)
     """
-    check_channel(channel)
+    channel = checked_channel(channel)
     data = read_file(path, MAX_BYTES, RecordingError)
     try:
         frames, rate, subtype = decode(data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..inference import InferenceResult
 from ..schema.fit import Fit, package_versions
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .comparison import compare_recordings, pool_level_errors
 from .correlations import strong_correlations
 from .derived_table import with_derived
@@ -18,7 +18,7 @@ from .statuses import statuses
 from .warnings import fit_warnings
 
 
-@one_blas_thread()
+@numerical_settings()
 def build_result(fit: InferenceResult) -> Result:
     """Build sounds, quantities and sentences from an inference; a `FitError` if a contact does not end."""
     problem, initial, found = fit.problem, fit.problem.initial_values, fit.estimate.minima

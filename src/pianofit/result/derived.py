@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..conversions import HALF_WIDTH_95, T60_NEPERS
-from ..errors import FitError, ParameterError
+from ..errors import FitError, ParameterError, check_type
 from ..excitation import Excitation
 from ..felt import LAWS, law_of
 from ..felt.law import scale_velocity
@@ -202,6 +202,7 @@ class DrawSet:
 
     def evaluate(self, function: Callable[[ModelDraw], Any]) -> DerivedQuantity:
         """Return value, interval, status and draws of a function."""
+        check_type("function=", function, Callable, "a function of a draw that returns one number")
         best, *others = (_number(function, draw) for draw in self.draws)
         probed, drawn = dict(zip(self._probes, others, strict=False)), np.array(others[len(self._probes) :])
         is_free = len(drawn) > 0 and float(np.ptp(drawn)) > 0

@@ -26,7 +26,7 @@ from ..io.number_format import counted
 from ..model.note import Note
 from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .comparison import audible_partials
 
 # Velocities are searched within this range, m/s,
@@ -81,7 +81,7 @@ class Prediction:
         )
 
 
-@one_blas_thread()
+@numerical_settings()
 def predict_recording(
     notes: Note | Sequence[tuple[float, Note]],
     analysis: Analysis | Source,

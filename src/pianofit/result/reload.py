@@ -15,12 +15,12 @@ from ..model.note import Note
 from ..recording.recording import Recording, Source, to_recording
 from ..schema.fit import Fit, RecordingFit
 from ..schema.notes import initial_note
-from ..threads import one_blas_thread
+from ..threads import numerical_settings
 from .comparison import RecordingComparison
 from .fitted_recording import FittedRecording
 
 
-@one_blas_thread()
+@numerical_settings()
 def reload_recordings(fit: Fit, notes: Sequence[Note], sources: Sequence[Source] = ()) -> tuple[FittedRecording, ...]:
     """The recordings of a fit, read from their stored paths or from `sources`, in their order.
 

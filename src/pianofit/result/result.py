@@ -14,7 +14,7 @@ from .. import deferred
 from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..io.files import printable
+from ..io.files import as_path, printable
 from ..io.number_format import counted
 from ..model.note import Note
 from ..recording.recording import Recording, Source
@@ -346,7 +346,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        return deferred.call("report.save", "save", self, Path(folder), force=force, page=page)
+        return deferred.call("report.save", "save", self, as_path(folder), force=force, page=page)
 
     def report(
         self, path: str | os.PathLike[str], *, title: str | None = None, held_out: CrossValidation | None = None
@@ -365,7 +365,7 @@ class Result:
         FitError
             If the fit was loaded, and a recording was moved or changed.
         """
-        return deferred.call("report.save", "write_page", self, Path(path), title, held_out)
+        return deferred.call("report.save", "write_page", self, as_path(path), title, held_out)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:

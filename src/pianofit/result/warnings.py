@@ -37,6 +37,7 @@ STROKE_SCATTER_DB = 1.0
 # Standard deviations by which a hammer parameter may deviate from the literature's value for the key: for the felt
 # exponent this is 1.4 to 3.8 in the middle of the keyboard. One value in a hundred deviates more by chance.
 LITERATURE_Z = 2.5
+MAX_NAMED = 3  # files that one warning names
 NOT_CONVERGED = "The search stopped before it converged. Do not use any of the values."
 NOT_MINIMISED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
 AT_BOUND = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
@@ -86,11 +87,19 @@ def _correlation_warnings(correlated: Sequence[StrongCorrelation]) -> list[str]:
 
 
 def _unmatched_warnings(problem: FitProblem) -> list[str]:
-    return [
+    similar = [(entry, recording) for entry, recording in problem.unmatched_entries if recording]
+    lines = [
         f'[[recording]] file = "{printable(entry)}" matches none of the recordings, so it does not apply to '
         f"{printable(recording)}. Check its spelling."
-        for entry, recording in problem.unmatched_entries
+        for entry, recording in similar
     ]
+    if problem.unmatched_entries and not similar:
+        entries = ", ".join(f'"{printable(entry)}"' for entry, _ in problem.unmatched_entries[:MAX_NAMED])
+        lines.append(
+            f"No [[recording]] of the setup matches a recording, so its values are not used: file = {entries}. Give "
+            "the names of the files."
+        )
+    return lines
 
 
 def literature_warnings(fit: InferenceResult) -> list[str]:

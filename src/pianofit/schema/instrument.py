@@ -178,6 +178,10 @@ class KeyEntry:
     changes: dict[str, Number] | None = None  # by slider of the page: factors, and a difference of p
     fit: FitSummary | None = None  # of a recorded key
 
+    def __post_init__(self) -> None:
+        if not self.gain:
+            raise ValueError("gain must not be 0")
+
 
 @dataclass(frozen=True)
 class ReleaseEntry:

@@ -17,13 +17,13 @@ import numpy as np
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import A4, CENTS, HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, hertz_of
-from ..errors import FitError, ParameterError, check_range
+from ..errors import FitError, ParameterError, check_range, check_type
 from ..instrument import find_fits, load_instrument, load_keys
 from ..instrument.build import ENOUGH_KEYS, published_values, reference_values
 from ..instrument.collect_fits import instrument_title
 from ..instrument.key_quantities import LAW_QUANTITIES, law_quantities
 from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurement, joint_laws
-from ..io.files import printable
+from ..io.files import as_path, printable
 from ..io.number_format import counted
 from ..literature import typical_strings
 from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
@@ -98,7 +98,8 @@ def tuning(
     check_range("a4=", a4, LOWEST_A4, HIGHEST_A4, " Hz")
     if octave not in OCTAVE_TYPES:
         raise ParameterError(f"octave={octave!r} must be one of {', '.join(OCTAVE_TYPES)}")
-    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    check_type("paths=", paths, str | os.PathLike | Sequence, "a path, or a list of paths")
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [as_path(path) for path in paths]
     if not files:
         raise ParameterError(f"paths=[] is empty; {HINT}")
     recorded = load_recorded(files, prefix)

@@ -7,6 +7,7 @@ import re
 from typing import NamedTuple
 
 from ..instrument import Instrument
+from ..io.files import check_ending
 from ..report import html
 from .payload import encode_instrument
 from .recordings import recorded_layers
@@ -77,6 +78,7 @@ def write_playable_page(path: str | os.PathLike[str], instrument: Instrument, re
     >>> pianofit.write_playable_page("piano.html", pianofit.load_instrument("instrument.json"))
     PageSummary(knock_error_db=None, layers=0)
     """
+    check_ending(path, ".html", ".htm")
     payload, knock_error_db = encode_instrument(instrument, PAGE_BYTES - SCRIPT_BYTES)
     layers = recorded_layers(instrument) if recordings else {}
     changed = len(instrument.changed)

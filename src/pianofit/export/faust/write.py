@@ -12,14 +12,14 @@ import numpy as np
 
 from ...errors import ParameterError
 from ...instrument import Instrument
-from ...io.files import PEAK_LIMIT, printable, replace_file
+from ...io.files import PEAK_LIMIT, check_ending, printable, replace_file
 from ...model.modal_response import FILTER_REACH
 from ...playback.midi import SWITCH
 from ...playback.pedals import PedalRange
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice
 from ...report.html import asset
 from ...schema.dampers import LAST_DAMPER, Dampers
-from ...threads import one_blas_thread
+from ...threads import numerical_settings
 from ..layers import LARGEST_TRANSPOSITION, LOUDEST
 from ..samples import LEVEL_SECONDS, render_stroke
 from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, KeyTables, LowRankSignals, tabulate_key, tabulate_knock
@@ -44,7 +44,7 @@ class FaustSummary(NamedTuple):
     gain_db: float  # of all keys
 
 
-@one_blas_thread()
+@numerical_settings()
 def write_faust(
     path: str | os.PathLike[str],
     instrument: Instrument,
@@ -80,6 +80,7 @@ def write_faust(
     >>> pianofit.write_faust("piano.dsp", pianofit.load_instrument("instrument.json"), [60, 64]).unrecorded
     0
     """
+    check_ending(path, ".dsp")
     if not keys:
         raise ParameterError("keys=[]: give the MIDI keys to tabulate")
     for key in keys:
