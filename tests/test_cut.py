@@ -50,12 +50,20 @@ def file(session, tmp_path_factory) -> Path:
     return path
 
 
-def test_a_click_at_the_very_end_is_a_short_stroke():
+@pytest.mark.parametrize("samples", [100, 1000])
+def test_a_click_at_the_very_end_is_not_a_sure_stroke(samples):
     """Its step is incomplete."""
     sound = 1e-5 * np.random.default_rng(0).normal(size=(1, 2 * RATE + 200))
-    sound[0, -100:] += 0.3
-    (stroke,) = find_strokes(sound, RATE)
-    assert "lasts" in stroke.doubt or "no pitch" in stroke.doubt
+    sound[0, -samples:] += 0.3
+    assert all("lasts" in stroke.doubt or "no pitch" in stroke.doubt for stroke in find_strokes(sound, RATE))
+
+
+def test_an_abrupt_end_is_not_a_stroke():
+    note = rung(60)
+    sound = note.render(2.0, seconds=4.0, rate=RATE, mono=False)[:1, : 2 * RATE]
+    (stroke,) = find_strokes(sound / np.abs(sound).max(), RATE)
+    assert stroke.note == "C4"
+    assert not stroke.doubt
 
 
 def test_all_strokes_are_found_and_named(session):

@@ -72,14 +72,17 @@ def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
 
 
 def _band_levels(mono: np.ndarray, rate: int) -> np.ndarray:
-    """Level of bands at steps, dB [steps, bands]. A frame begins at its step."""
+    """Level of bands at steps, dB [steps, bands]. A frame begins at its step, and lies within the file.
+
+    A frame over an abrupt end would have a wide spectrum, as a stroke has.
+    """
     step, size = round(STEP * rate), round(FRAME * rate)
     padded = np.pad(mono, (0, size))
     top = min(HIGHEST, 0.45 * rate)
     edges = LOWEST * 2.0 ** (np.arange(int(PER_OCTAVE * np.log2(top / LOWEST)) + 1) / PER_OCTAVE)
     hz = np.fft.rfftfreq(size, 1 / rate)
     band = np.searchsorted(edges, hz, side="right") - 1
-    window, frames = np.hanning(size), np.arange(0, len(mono), step)
+    window, frames = np.hanning(size), np.arange(0, max(len(mono) - size, 0) + 1, step)
     levels = np.empty((len(frames), len(edges) - 1))
     for first in range(0, len(frames), 4096):
         part = np.stack([padded[at : at + size] for at in frames[first : first + 4096]])
@@ -114,7 +117,7 @@ def _refined(mono: np.ndarray, rate: int, near: int) -> int:
 def _end(levels: np.ndarray, noise: np.ndarray, rate: int, onset: int, limit: int) -> int:
     """Sample at which all bands have fallen to the noise, at most `limit`. Levels are means over `SILENT_FOR`."""
     step, span = round(STEP * rate), round(SILENT_FOR / STEP)
-    first = onset // step  # the last step of a file can be incomplete
+    first = min(onset // step, len(levels) - 1)  # the last frame begins before the end
     sums = np.cumsum(np.pad(levels[first : max(limit // step, first + 1)], ((1, span), (0, 0)), mode="edge"), axis=0)
     loud = ((sums[span:-1] - sums[: -span - 1]) / span > noise).any(axis=1)
     last = int(np.flatnonzero(loud)[-1]) + 1 if loud.any() else 0

@@ -95,7 +95,7 @@ def invariants(fit: InferenceResult, states: Statuses) -> Quantities:
     B = float(np.exp(fit.posterior.mean[0, kappa] - fit.posterior.mean[0, c]) * np.pi / _size_value(fit, "L")) ** 2
     table = [
         _ratio(fit, states, "f0", "c", "L", 2.0, "Hz"),
-        _combined("B", fit.gauge_fixed, direction, B, "1", states.parameters),
+        _combined("B", fit.posterior, direction, B, "1", states.parameters),
     ]
     if not u.law.has_contact:
         return Quantities.of([*table, *_places(fit, states)])
@@ -161,7 +161,7 @@ def _ratio(
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)
     value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
-    quantity = _combined(name, fit.gauge_fixed, _unit(u, of) - _unit(u, size), value, unit, states.parameters)
+    quantity = _combined(name, fit.posterior, _unit(u, of) - _unit(u, size), value, unit, states.parameters)
     if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
