@@ -287,6 +287,21 @@ def test_a_stroke_rings_by_its_participation_and_pushes_in_silence():
     assert below.velocity_gain.factor.shape == (2, 1)
 
 
+@pytest.mark.parametrize("rate", [8_000, 44_100, 96_000])
+def test_a_slow_force_pushes_in_silence_at_every_rate(rate):
+    """The sum of the modes jumps at the touch. Its first sample depends on the rate."""
+    pole = -np.array([3.0, 8.0]) + 2j * np.pi * np.array([1_500.0, 3_100.0])
+    pattern = np.array([[1.0 + 0j, 0.8 + 0j]])
+    knock = np.pad(cancel_static_deflection(pole, pattern, RATE, 4_000), ((0, 0), (round(0.012 * RATE), 0)))
+    response = ModalResponse(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE)
+    low = signal.butter(6, 100, fs=rate, output="sos")
+    quiet, pushed = (
+        np.sum(signal.sosfilt(low, one.sound(force_at(1.0), rate, round(0.2 * rate))[0]) ** 2)
+        for one in (response, response.without_knock())
+    )
+    assert quiet < 1e-2 * pushed
+
+
 def test_levels_that_rise_faster_than_the_force_are_followed():
     """Every partial gains 2 dB for each e-fold of velocity."""
     response, velocities = truth(), np.array([0.6, 1.0, 1.7])

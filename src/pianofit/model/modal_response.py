@@ -158,12 +158,27 @@ class ModalResponse(NamedTuple):
 
     def at(self, rate: int) -> ModalResponse:
         """Return the response for files of another rate: a resampled knock, and the modes below half of `rate`."""
+        if rate == self.rate:
+            return self
         below, part = np.imag(self.pole) < np.pi * rate, self.velocity_gain
         columns = (self.partial[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
-        knock = resample(self.knock, self.rate, rate) if self.knock.shape[-1] else self.knock
+        knock = self.knock
+        if knock.shape[-1]:
+            knock = resample(self.continuous_knock(), self.rate, rate)
+            knock[:, round(PRE_ONSET_S * rate) :][:, :1] -= 0.5 * np.real(columns[3].sum(axis=1, keepdims=True))
         return ModalResponse(
             *columns, knock, rate, None if part is None else part._replace(factor=part.factor[:, below])
         )
+
+    def continuous_knock(self) -> np.ndarray:
+        """Return the knock as a part of a response that is continuous in time, for other rates [channels, samples].
+
+        A sum of modes jumps at the touch. Its first sample is the value after the jump, half of the jump more than the
+        mean of both sides, which represents a jump. The knock cancels this excess at its own rate.
+        """
+        knock = self.knock.copy()
+        knock[:, round(PRE_ONSET_S * self.rate) :][:, :1] += 0.5 * np.real(self.pattern.sum(axis=1, keepdims=True))
+        return knock
 
     def attack_noise(self, velocity: float) -> np.ndarray:
         """Return the knock of a stroke, per unit of its force [channels, samples].

@@ -181,7 +181,7 @@ def _knock_transform(response: ModalResponse, pole: np.ndarray) -> np.ndarray:
     has the energy that the knock gives it, if the spectrum of the knock is smooth over the width of the mode.
     """
     pole = 1j * np.imag(pole)
-    knock, rate = response.knock, response.rate
+    knock, rate = response.continuous_knock(), response.rate
     energy = (knock**2).sum(axis=0)
     centre = float(np.arange(knock.shape[-1]) @ energy / max(energy.sum(), 1e-300)) / rate
     size = 1 << math.ceil(math.log2(KNOCK_PADDING * knock.shape[-1]))

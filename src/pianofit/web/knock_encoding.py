@@ -92,7 +92,9 @@ def encoded_knock(response: ModalResponse, force: ForcePulse) -> EncodedSound:
     """Return the sound of a knock, with its error in a stroke of this force."""
     count = round(ATTACK_SECONDS * response.rate)
     note = np.diff(response.sound(force, response.rate, count)[:CHANNELS])
-    return EncodedSound(response.knock[:CHANNELS], response.rate, force.at(response.rate), float((note**2).sum()))
+    return EncodedSound(
+        response.continuous_knock()[:CHANNELS], response.rate, force.at(response.rate), float((note**2).sum())
+    )
 
 
 def choose_encodings(sounds: Sequence[EncodedSound], room: int) -> tuple[list[KnockEncoding], float]:

@@ -1,6 +1,7 @@
 // A key as a note.json, with the entries of a fit.json that `pianofit render` and similar commands read.
 
 import { encodeWav } from "./output.js";
+import { addFirstSample, LEAD } from "./prepare.js";
 
 const SCHEMA = 8; // of fit.json: FIT_SCHEMA in schema/fit.py
 
@@ -27,12 +28,14 @@ export function responseOf({ modal_response: measured, gain }) {
   const { partial, pole, modal_amplitudes: amplitudes, velocity_gain: velocityGain, knock, rate } = measured;
   const list = (column, factor = 1) => Array.from(column, (x) => x * factor);
   const row = ({ re, im }, factor) => ({ real: list(re, factor), imag: list(im, factor) });
+  const sound = knock.map((x) => Float64Array.from(x));
+  addFirstSample(sound, amplitudes, Math.round(LEAD * rate), -1);
   return {
     modes: { partial: list(partial), frequency: list(pole.im, 1 / (2 * Math.PI)), decay: list(pole.re, -1) },
     modal_amplitudes: amplitudes.map((channel) => row(channel, 1 / gain)),
     velocity_gain: velocityGain && { velocity: velocityGain.velocity,
       strokes: velocityGain.strokes.map((stroke) => row(stroke)) },
-    knock: knock[0]?.length ? { ...soundOf(knock, 1 / gain, rate), rate } : null,
+    knock: knock[0]?.length ? { ...soundOf(sound, 1 / gain, rate), rate } : null,
   };
 }
 

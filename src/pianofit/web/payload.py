@@ -236,7 +236,7 @@ def _modal_response(response: ModalResponse, knock: KnockEncoding | None) -> dic
         "omega": encode_array(np.imag(response.pole), "<f8"),
         "modal_amplitudes": _rows(response.pattern[:CHANNELS]),
         "velocity_gain": _velocity_gain(response),
-        **_encode_sound(response.knock[:CHANNELS], response.rate, knock),
+        **_encode_sound(response.continuous_knock()[:CHANNELS], response.rate, knock),
     }
 
 

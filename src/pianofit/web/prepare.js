@@ -27,7 +27,7 @@ const RESPONSE = 1.0; // s, length of the transform for the impulse response of 
 const TAIL_ENERGY = 6e-12;
 // The gain of a mode through the path sums the impulse response until the mode has decayed by exp of this.
 const MOST_DECAY = 12;
-const LEAD = 0.012; // s from the beginning of a knock to the contact, see model/modal_response.py
+export const LEAD = 0.012; // s from the beginning of a knock to the contact, see model/modal_response.py
 const STATIC_DECAY = 35; // the correction for static deflection ends where it has decayed by exp of this
 const EDGE = 10; // samples from the beginning of the band-limited force to the contact
 
@@ -276,9 +276,20 @@ function measuredResponse({ modal_response: measured }, rate) {
   // The lead is padded to whole blocks, because dampers move at the beginning of blocks.
   const knockLead = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(knockLead / BLOCK), padding = lead - knockLead;
   const kernel = measured.knock.map((x) => delayed(padding, resample(x, measured.rate, rate)));
+  addFirstSample(kernel, gain, lead, -1);
   const prompt = promptModes(pole, column(measured.partial), gain);
   const response = { pole, logZ, gain, velocityGain, prompt, kernel, ratio: 1, lead, padding, edge: EDGE };
   return { ...response, ...excite(response, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
+}
+
+/**
+ * Add `factor` times half of the first sample of the sum of modes to the sample `at` of each channel. A knock of the page
+ * is a part of a continuous response; see `continuous_knock` in model/modal_response.py.
+ */
+export function addFirstSample(channels, gain, at, factor) {
+  channels.forEach((x, i) => {
+    if (at < x.length) x[at] += 0.5 * factor * gain[i].re.reduce((sum, y) => sum + y, 0);
+  });
 }
 
 /** The amplitudes `excitation` that a unit force leaves in the modes, and their sound within a block. */
