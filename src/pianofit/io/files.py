@@ -217,7 +217,8 @@ def locked(lock: Path, busy: str) -> Iterator[None]:
 def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     """Make Ctrl-C, SIGTERM and SIGHUP call `cleanup`, and that of each enclosing block, and exit immediately.
 
-    The exit status is 128 and the number of the signal. A signal that is ignored, as by nohup, stays so.
+    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so. Shells
+    ignore SIGINT in background jobs, but a SIGINT that is sent to one is meant.
 
     An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
     the process.
@@ -228,7 +229,7 @@ def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     _CLEANUPS.append(cleanup)
     before = {number: signal.getsignal(number) for number in _ENDS}
     for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
+        if handler is not signal.SIG_IGN or number == signal.SIGINT:
             signal.signal(number, _stop)
     try:
         yield
