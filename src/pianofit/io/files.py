@@ -217,8 +217,8 @@ def locked(lock: Path, busy: str) -> Iterator[None]:
 def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     """Make Ctrl-C, SIGTERM and SIGHUP call `cleanup`, and that of each enclosing block, and exit immediately.
 
-    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so. Shells
-    ignore SIGINT in background jobs, but a SIGINT that is sent to one is meant.
+    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so.
+    Shells ignore SIGINT in background jobs, but a SIGINT that is sent to one is meant.
 
     An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
     the process.
