@@ -217,8 +217,9 @@ def locked(lock: Path, busy: str) -> Iterator[None]:
 def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     """Make Ctrl-C, SIGTERM and SIGHUP call `cleanup`, and that of each enclosing block, and exit immediately.
 
-    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so.
-    Shells ignore SIGINT in background jobs, but a SIGINT that is sent to one is meant.
+    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so, and
+    so does a handler that is not Python's. Shells ignore SIGINT in background jobs, but a SIGINT that is sent to one is
+    meant.
 
     An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
     the process.
@@ -227,7 +228,7 @@ def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
         yield
         return
     _CLEANUPS.append(cleanup)
-    before = {number: signal.getsignal(number) for number in _ENDS}
+    before = {number: handler for number in _ENDS if (handler := signal.getsignal(number)) is not None}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN or number == signal.SIGINT:
             signal.signal(number, _stop)
@@ -236,7 +237,7 @@ def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
     finally:
         _CLEANUPS.pop()
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+            signal.signal(number, handler)
 
 
 def _stop(number: int, *_: object) -> None:

@@ -51,7 +51,8 @@ class Recording:
 
     def has_sound_of(self, other: Recording) -> bool:
         """Return true if both hold the same samples, possibly in files of different formats."""
-        return self.rate == other.rate and np.array_equal(self.samples, other.samples)
+        # The offset differs in all other recordings, and is compared faster.
+        return (self.rate, self.dc) == (other.rate, other.dc) and np.array_equal(self.samples, other.samples)
 
     def __repr__(self) -> str:
         return (
