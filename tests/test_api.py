@@ -24,7 +24,7 @@ ROOT = Path(__file__).parent.parent
 FUNCTIONS = [name for name in pianofit.__all__ if inspect.isfunction(getattr(pianofit, name))]
 CLASSES = [name for name in pianofit.__all__ if inspect.isclass(getattr(pianofit, name))]
 # What takes minutes is run elsewhere, in `tests/test_fit_recordings.py` and `tests/test_batch_fit.py`.
-TOO_LONG = {"cross_validate", "run_batch"}
+TOO_LONG = {"cross_validate", "fit_library"}
 # `word`, `Word.word`; file names, which end as these do, are none.
 REFERENCE = re.compile(r"(?<!`)`([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)`(?!`)")
 FILES = ("json", "toml", "wav", "html")

@@ -13,9 +13,10 @@ from batch_cases import CLI, python, results, struck
 from pianofit.batch import Job, ProcessPool, Settings, make_job, read_keys
 from pianofit.batch.fit_job import JobResult, _of_another_key, _wrong_note
 from pianofit.cli import main
-from pianofit.cli.batch import _settings
+from pianofit.cli.fits import setup_of_options
 from pianofit.errors import SetupError
 from pianofit.io.files import encode_wav
+from pianofit.library import fit_library, library_settings
 from pianofit.setup import Setup
 
 PATTERN = "{instrument}-{note}-{layer}.wav"
@@ -90,6 +91,18 @@ def test_the_same_command_finds_nothing_to_do(batch, run_here):
     assert (code, errors) == (3, "")
     assert document["counts"] == {"done": 1, "failed": 2, "running": 0, "waiting": 0}
     assert (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns == before
+
+
+def test_python_finds_the_same_library_done(batch):
+    """The jobs of `fit_library` are those of the command, so that nothing is left to do."""
+    place, _, _ = batch
+    before, events = (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns, []
+    found = fit_library(place / "in", place / "out", pattern=PATTERN, page=False, processes=1, tell=events.append)
+    assert found.counts == {"done": 1, "failed": 2, "running": 0, "waiting": 0}
+    assert (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns == before
+    with pytest.raises(SetupError, match="does not apply"):
+        fit_library(place / "in/grand-C4-p.wav", place / "other", pattern=PATTERN)
+    assert not (place / "other").exists()
 
 
 def test_its_status_and_its_plan(batch, run_here):
@@ -227,13 +240,17 @@ def test_options_that_cannot_be_meant(tmp_path, monkeypatch, capsys, arguments, 
 def test_options_and_setup_make_one_setup(tmp_path):
     file = tmp_path / "setup.toml"
     assumed = ("power", "hammer", "bridge-force")
+
+    def settings() -> Settings:
+        return library_settings(setup_of_options(file, *assumed, None), str(file), joint=False)
+
     for text in ("[string]\nlength = 1.0\n", '[felt]\nlaw = "power"\n[string]\nlength = 1.0\n'):
         file.write_text(text)
-        whole = Setup.from_dict(tomllib.loads(_settings(file, assumed, "average", 0, False, False).setup))
+        whole = Setup.from_dict(tomllib.loads(settings().setup))
         assert (whole.felt, whole.excitation, whole.pickup_quantity) == assumed
     file.write_text('[felt]\nlaw = "stulov"\n')
     with pytest.raises(SetupError, match=r"stulov.* contradicts .*power"):
-        _settings(file, assumed, "average", 0, False, False)
+        settings()
     file.write_text("[felt]\n")
-    whole = Setup.from_dict(tomllib.loads(_settings(file, assumed, "average", 0, False, False).setup))
+    whole = Setup.from_dict(tomllib.loads(settings().setup))
     assert (whole.felt, whole.excitation, whole.pickup_quantity) == assumed

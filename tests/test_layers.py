@@ -57,6 +57,7 @@ USES = {
     "batch": "analysis fitting instrument io parameters program_folder recording report schema threads",
     "instrument": "analysis complex_step dsp excitation felt io key_prior literature model parameters report schema"
     " threads transducer",
+    "library": "batch io setup synthetic threads",
     "listening": "io recording report schema",
     "dataset": "analysis batch felt inference instrument io literature model parameters program_folder progress schema"
     " threads",
@@ -65,8 +66,8 @@ USES = {
     "mend": "analysis batch dsp instrument io modal_response model recording",
     "tuner": "analysis instrument io literature model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
-    "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io listening literature mend"
-    " model parameters playback program_folder progress recording report result schema setup synthetic threads"
+    "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io library listening literature"
+    " mend model parameters playback program_folder progress recording report result schema setup synthetic threads"
     " transducer tuner web",
     "__main__": "cli",
 }

@@ -50,14 +50,13 @@ __all__ += ["export_sampler", "FaustSummary", "write_faust", "PageSummary", "wri
 # Tuning of a piano.
 __all__ += ["tuning", "Tuning", "TunedKey", "PartialBeat", "IntervalValue", "write_tuning"]
 # Libraries, and blind listening tests.
-__all__ += ["run_batch", "ListeningSummary", "write_listening_test", "count_answers"]
+__all__ += ["fit_library", "ListeningSummary", "write_listening_test", "count_answers"]
 # Errors.
 __all__ += ["PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError"]
 __all__ += ["OutputError", "WrongNoteError"]
 
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
-    from .batch import run_batch
     from .dataset import DatasetSummary, LabelledNote, NoteOptions, note_from_labels, notes, write_dataset
     from .errors import (
         AnalysisError,
@@ -89,6 +88,7 @@ if TYPE_CHECKING:
     )
     from .io.files import encode_wav, write_wav
     from .key_prior import KeyPrior
+    from .library import fit_library
     from .listening.result import count_answers
     from .listening.sounds import ListeningSummary, write_listening_test
     from .literature import Preset, preset, typical
@@ -114,7 +114,6 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "analysis": ("Analysis", "Partials", "analyse"),
-    "batch": ("run_batch",),
     "dataset": ("DatasetSummary", "LabelledNote", "NoteOptions", "note_from_labels", "notes", "write_dataset"),
     "export": ("ExportOptions", "ExportSummary", "export_sampler"),
     "export.faust": ("FaustSummary", "write_faust"),
@@ -136,6 +135,7 @@ _MODULES = {
     "web": ("PageSummary", "write_playable_page"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit", "objective"),
+    "library": ("fit_library",),
     "inference": ("RecordingObjective",),
     "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Result",),

@@ -94,18 +94,6 @@ def run_batch(
     ------
     OutputError
         If the folder is in use, holds something else, or cannot be written to, or if the cluster is gone.
-
-    Examples
-    --------
-    Two workers with at most 3 GiB and ten minutes a key:
-
-    >>> from pathlib import Path
-    >>> import pianofit
-    >>> from pianofit.batch import ProcessPool, Settings, make_job, read_keys
-    >>> keys, remarks = read_keys(Path("library"))
-    >>> jobs = [make_job(key, Settings()) for key in keys]
-    >>> pool = lambda store: ProcessPool(2, 3 * 2**30, 600.0, store.scratch)
-    >>> pianofit.run_batch(jobs, Path("batch"), pool).counts
     """
     store = Store(folder)
     store.open()

@@ -10,26 +10,24 @@ import contextlib
 import shlex
 import signal
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import PianofitError, SetupError, check_range
+from ..errors import check_range
 from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.measurements import checked_channel
-from ..setup import Setup
 from . import options
 from .fits import setup_of_options
 from .options import choice, flag, integer, process_count, real, text
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
-    from ..batch import Job, Progress, Settings, Status
+    from ..batch import Job, Progress, Status
 
 LISTED = 20  # failures in the printed summary
 NAMED = 4  # running keys on a progress line
@@ -124,12 +122,14 @@ def batch(
             run_batch,
             run_joint_batch,
         )
+        from ..library import library_jobs, library_settings
 
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(library, pattern=pattern, root=root, transpose=transpose)
-        settings = _settings(setup, (felt, excitation, quantity), channel, seed, page, joint)
-        jobs = _jobs(library, keys, settings)
+        options = setup_of_options(setup, felt, excitation, quantity, None)
+        settings = library_settings(options, printable(setup or ""), joint, seed, channel, page)
+        jobs = library_jobs(library, keys, settings)
         for remark in [*remarks, *layout_remarks(jobs)]:
             print_error(remark)
         if dry_run:
@@ -153,51 +153,6 @@ def status(
 
     result = run(folder)
     print_result(result, _summary(result), as_json)
-
-
-def _settings(
-    setup: Path | None,
-    assumed: tuple[str | None, str | None, str | None],
-    channel: str,
-    seed: int,
-    page: bool,
-    joint: bool,
-) -> Settings:
-    """Settings that all keys share. The setup, with felt, excitation and quantity, is checked and included as text."""
-    from ..batch import Settings
-    from ..synthetic import setup_text
-
-    options = setup_of_options(setup, *assumed, None)
-    if joint and not options.law.has_contact:
-        raise SetupError(f"--joint has no prior for a {options.excitation}; leave it out")
-    if setup is None and not any(assumed):
-        return Settings(seed, channel, page)
-    if options.recordings:
-        raise SetupError(
-            f"{printable(setup or '')}: has a [[recording]]; the manifest names the recordings, with their velocities"
-        )
-    if joint and options.prior is not None:
-        raise SetupError(f"{printable(setup or '')}: has a [prior], which --joint computes for every key; remove one")
-    prior = "" if options.prior is None else options.prior.to_toml()
-    return Settings(seed, channel, page, setup_text(options) + prior)
-
-
-def _jobs(manifest: Path, keys: list, settings: Settings) -> list[Job]:
-    """Read and hash the recordings of all keys. All problems are reported before any fit starts."""
-    from ..batch import make_job
-    from ..batch.library_files import first_of
-
-    jobs, problems = [], []
-    for key in keys:
-        try:
-            job = make_job(key, settings)
-            Setup.from_dict(tomllib.loads(job.setup), key.name)
-            jobs.append(job)
-        except PianofitError as error:
-            problems.append(str(error))
-    if problems:
-        raise SetupError(f"{printable(manifest)}: {first_of(problems, '; ')}; nothing was started")
-    return jobs
 
 
 def _workers(processes: int, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
