@@ -23,6 +23,7 @@ from pianofit.instrument import Instrument, build_instrument, find_fits, load_in
 from pianofit.instrument.collect_fits import partial_decays
 from pianofit.instrument.page import write_page
 from pianofit.model.modal_response import ModalResponse
+from pianofit.parameters import PARAMETERS
 
 KEYS = [30, 42, 54, 66, 78]
 
@@ -227,6 +228,12 @@ def test_a_hostile_fit_is_refused(tmp_path):
         odd["minima"][0]["parameters"] = {name: value for name, value in values.items() if value is not None}
         with pytest.raises(FitError, match=rf"minima\[0\] .*{message}"):
             load_keys([write_fit(tmp_path, 60, odd)])
+    odd = copy.deepcopy(good)  # a little beyond: the mean of a Gaussian may be
+    odd["minima"][0]["parameters"]["p"] = 1.1 * PARAMETERS["p"].upper
+    assert len(load_keys([write_fit(tmp_path, 60, odd)])) == 1
+    odd["minima"][0]["parameters"]["p"] = 20 * PARAMETERS["p"].upper
+    with pytest.raises(FitError, match="far beyond the ranges of p"):
+        load_keys([write_fit(tmp_path, 60, odd)])
     odd = copy.deepcopy(good)
     odd["minima"][0]["stroke_values"] = [1e300]
     with pytest.raises(FitError, match=r"minima\[0\] is far beyond the ranges of v_H0"):

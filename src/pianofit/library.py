@@ -8,15 +8,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from .batch import Job, Key, ProcessPool, Progress, Settings, Status, make_job, read_keys, run_batch, run_joint_batch
-from .batch.library_files import first_of
 from .errors import PianofitError, SetupError, check_range
 from .io.files import as_path, printable
+from .io.number_format import first_of
 from .setup import Setup
 from .synthetic import setup_text
-from .threads import MAX_PROCESSES, cores
-
-# Limits of a fit in a process: memory, GiB, and time, s. A fit of a key takes about 1.5 GiB and some ten seconds.
-MEMORY, TIME_LIMIT = 4.0, 3600.0
+from .threads import MAX_PROCESSES, MEMORY, TIME_LIMIT, cores
 
 
 def fit_library(
@@ -83,7 +80,7 @@ def library_settings(
     Raises a `SetupError` about `name` for a setup with values of one key, or that a joint fit cannot use.
     """
     if joint and not setup.law.has_contact:
-        raise SetupError(f"--joint has no prior for a {setup.excitation}; leave it out")
+        raise SetupError(f"a joint fit (--joint) has no prior for a {setup.excitation}; leave it out")
     if setup == Setup():
         return Settings(seed, channel, page)
     if setup.recordings:

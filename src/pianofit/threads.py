@@ -11,6 +11,9 @@ from .errors import FitError
 
 # Largest number of processes of a command: more than an ordinary machine has cores.
 MAX_PROCESSES = 256
+# Limits of a process of a batch: memory, GiB, and time of a job, s. A fit takes at most 1.5 GiB and a minute: they end
+# what went wrong.
+MEMORY, TIME_LIMIT = 4.0, 3600.0
 _forked = False  # True in a process that was forked after JAX had started
 
 

@@ -23,9 +23,9 @@ from ..errors import RecordingError
 from ..io.audio import layout_of
 from ..io.containers import is_sound, readable_formats
 from ..io.files import code_digest, printable, read_file
-from ..io.number_format import counted
+from ..io.number_format import counted, first_of
 from ..recording.recording import MAX_BYTES
-from .library_files import files_in, first_of
+from .library_files import files_in
 from .manifest import Key, Role, Sample
 
 

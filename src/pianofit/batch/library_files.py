@@ -10,7 +10,7 @@ import functools
 import os
 import struct
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -18,7 +18,6 @@ from ..errors import SetupError
 from ..io.files import printable
 
 MAX_RECORDINGS = 64  # recordings of one key: the memory of a joint fit grows with them
-MAX_LISTED = 5  # texts listed in one message
 MAX_CHUNKS = 1000  # read in one file: real files have fewer than 20
 # Names and formats of the chunks that begin with a root note: its offset is 12 bytes in "smpl" of RIFF, else 0.
 ROOT_NOTE_CHUNKS = {b"smpl": "<12xI", b"inst": "B", b"INST": "B"}
@@ -38,12 +37,6 @@ class Row(NamedTuple):
     group: str = ""
     role: str = ""
     midi_velocity: float | None = None  # middle of the range of an SFZ region
-
-
-def first_of(texts: Sequence[str], separator: str = ", ") -> str:
-    """The first texts, and the number of further ones."""
-    more = [f"and {len(texts) - MAX_LISTED} more"] if len(texts) > MAX_LISTED else []
-    return separator.join([*texts[:MAX_LISTED], *more])
 
 
 def files_in(folder: Path) -> list[str]:

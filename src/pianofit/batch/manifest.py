@@ -24,9 +24,9 @@ from ..conversions import MIDI_VELOCITIES, hertz_of
 from ..errors import AnalysisError, SetupError
 from ..io.containers import is_sound, readable_formats
 from ..io.files import printable, read_text
-from ..io.number_format import counted
+from ..io.number_format import counted, first_of
 from ..parameters import PARAMETERS
-from .library_files import MAX_RECORDINGS, Row, files_in, find_file, first_of
+from .library_files import MAX_RECORDINGS, Row, files_in, find_file
 from .name_pattern import expression_of, guess_pattern, midi_number_offset, role_in
 from .sfz import sfz_rows
 

@@ -15,9 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import SetupError
+from ..io.number_format import first_of
 from ..threads import numerical_settings
 from .job import Job
-from .library_files import first_of
 from .records import Status, Store
 from .run import Progress, Workers, plan_jobs, run_batch
 

@@ -22,9 +22,9 @@ from ..analysis.pitch import check_pitch, find_pitch
 from ..conversions import hertz_of, midi_of
 from ..errors import AnalysisError, PianofitError, SetupError
 from ..io.files import printable, read_file
-from ..io.number_format import counted
+from ..io.number_format import counted, first_of
 from ..recording.recording import MAX_BYTES, load_recording
-from .library_files import MAX_RECORDINGS, Row, find_file, first_of, root_note
+from .library_files import MAX_RECORDINGS, Row, find_file, root_note
 from .sfz_text import SfzText, regions, unrecognised_opcodes
 
 DEFAULT_ROOT = 60  # MIDI number: default root note of a region in the SFZ format

@@ -21,6 +21,7 @@ from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.measurements import checked_channel
+from ..threads import MEMORY, TIME_LIMIT
 from . import options
 from .fits import setup_of_options
 from .options import choice, flag, integer, process_count, real, text
@@ -83,8 +84,8 @@ def batch(
     seed: options.Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
     processes: options.Processes = None,
-    memory: Annotated[float, real("GIB", "Memory limit of each process in GiB (Linux).")] = 4.0,
-    time_limit: Annotated[float, real("S", "Time limit for each key in seconds.")] = 3600.0,
+    memory: Annotated[float, real("GIB", "Memory limit of each process in GiB (Linux).")] = MEMORY,
+    time_limit: Annotated[float, real("S", "Time limit for each key in seconds.")] = TIME_LIMIT,
     scheduler: Annotated[str | None, text("ADDRESS", "Use a dask.distributed scheduler, tcp://HOST:PORT.")] = None,
     files: Annotated[
         str,

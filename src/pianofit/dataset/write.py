@@ -33,15 +33,13 @@ from ..program_folder import enable_program_cache
 from ..progress import Progress, progress_bar
 from ..schema.dataset import DATASET_FILE, Column, DatasetFile, NoteOptions, SoundFormat, read_dataset_file
 from ..schema.decode import encode_json
-from ..threads import MAX_PROCESSES
+from ..threads import MAX_PROCESSES, MEMORY, TIME_LIMIT
 from .labelled_note import LabelledNote, blocks, check_count, make_block
 from .random_notes import PATH_FREQUENCIES, NotePrior
 from .source import load_source
 from .table import columns_of
 
 TABLE, BLOCKS, ROWS, LOCK = "notes.csv", "blocks", "rows.csv", ".lock"
-# Limits of one process, and of one block in it: a block takes seconds.
-MEMORY, TIME_LIMIT = 3 * 2**30, 3600.0  # bytes, s
 POLL = 0.5  # s between two reports of progress
 
 
@@ -242,7 +240,8 @@ def _made(missing: list[_Block], processes: int, path: Path) -> Iterator[tuple[_
             yield block, _files(block)
         return
     queue = missing[::-1]
-    with ProcessPool(min(processes, len(missing) or 1), MEMORY, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
+    count, memory = min(processes, len(missing) or 1), int(MEMORY * 2**30)
+    with ProcessPool(count, memory, TIME_LIMIT, path / BLOCKS / ".scratch", _work) as pool:
         while queue or pool.pending:
             while queue and pool.pending < pool.capacity:
                 pool.submit(queue.pop())

@@ -26,7 +26,7 @@ V_rs = 2 τ̂² n_rk n_sk for two recordings of a path. The recordings determine
 x̄ = 1ᵀE⁻¹x / D, D = 1ᵀE⁻¹1 over the recordings of the path. Deviations from the mean do not depend on the path. Before
 the columns,
 
-    C₀⁻¹x = E⁻¹(x - x̄) + E⁻¹1/D N x̄,      N = (P + 1/D)⁻¹,      P the path's prior covariance
+    C₀⁻¹x = E⁻¹(x - x̄) + E⁻¹1/D N x̄,      N = (P + 1/D)⁻¹,      P the prior covariance of the path
 
 and with them C⁻¹ = C₀⁻¹ - UᵀU, U = K⁻¹ ς B C₀⁻¹, K Kᵀ = I + ς B C₀⁻¹Bᵀ ς (Woodbury). Only N depends on τ, and only ς
 on the gains. E depends on the velocities through W, and its derivative by them is part of F's gradient.

@@ -14,6 +14,7 @@ from typing import Any
 
 # Larger numbers overflow when squared.
 LARGEST = 1e300
+MAX_LISTED = 5  # texts listed in one message
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
 # If the ends of an interval differ by more than this factor, each has its own power of ten.
 WIDE_INTERVAL = 1e3
@@ -27,6 +28,12 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def is_number(value: Any) -> bool:
     """Return True for a finite number, not a bool, that can be squared without overflow."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def first_of(texts: Sequence[str], separator: str = ", ") -> str:
+    """Return the first `MAX_LISTED` texts, and the number of further ones."""
+    more = [f"and {len(texts) - MAX_LISTED} more"] if len(texts) > MAX_LISTED else []
+    return separator.join([*texts[:MAX_LISTED], *more])
 
 
 def counted(count: int, noun: str) -> str:

@@ -13,6 +13,7 @@ from ..conversions import BEATING_DB, HALF_WIDTH_95
 from ..inference import FitProblem, InferenceResult, priors
 from ..inference.parametrisation import Parametrisation
 from ..io.files import printable
+from ..io.number_format import first_of
 from ..recording.recording import Recording
 from ..schema.quantities import unit_of
 from .comparison import worse_bands
@@ -37,7 +38,6 @@ STROKE_SCATTER_DB = 1.0
 # Standard deviations by which a hammer parameter may deviate from the literature's value for the key: for the felt
 # exponent this is 1.4 to 3.8 in the middle of the keyboard. One value in a hundred deviates more by chance.
 LITERATURE_Z = 2.5
-MAX_NAMED = 3  # files that one warning names
 NOT_CONVERGED = "The search stopped before it converged. Do not use any of the values."
 NOT_MINIMISED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
 AT_BOUND = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
@@ -94,7 +94,7 @@ def _unmatched_warnings(problem: FitProblem) -> list[str]:
         for entry, recording in similar
     ]
     if problem.unmatched_entries and not similar:
-        entries = ", ".join(f'"{printable(entry)}"' for entry, _ in problem.unmatched_entries[:MAX_NAMED])
+        entries = first_of([f'"{printable(entry)}"' for entry, _ in problem.unmatched_entries])
         lines.append(
             f"No [[recording]] of the setup matches a recording, so its values are not used: file = {entries}. Give "
             "the names of the files."

@@ -1,7 +1,7 @@
 // A key as a note.json, with the entries of a fit.json that `pianofit render` and similar commands read.
 
 import { encodeWav } from "./output.js";
-import { addFirstSample, LEAD } from "./prepare.js";
+import { LEAD, subtractFirstSample } from "./prepare.js";
 
 const SCHEMA = 8; // of fit.json: FIT_SCHEMA in schema/fit.py
 
@@ -29,7 +29,7 @@ export function responseOf({ modal_response: measured, gain }) {
   const list = (column, factor = 1) => Array.from(column, (x) => x * factor);
   const row = ({ re, im }, factor) => ({ real: list(re, factor), imag: list(im, factor) });
   const sound = knock.map((x) => Float64Array.from(x));
-  addFirstSample(sound, amplitudes, Math.round(LEAD * rate), -1);
+  subtractFirstSample(sound, amplitudes, Math.round(LEAD * rate));
   return {
     modes: { partial: list(partial), frequency: list(pole.im, 1 / (2 * Math.PI)), decay: list(pole.re, -1) },
     modal_amplitudes: amplitudes.map((channel) => row(channel, 1 / gain)),

@@ -276,19 +276,19 @@ function measuredResponse({ modal_response: measured }, rate) {
   // The lead is padded to whole blocks, because dampers move at the beginning of blocks.
   const knockLead = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(knockLead / BLOCK), padding = lead - knockLead;
   const kernel = measured.knock.map((x) => delayed(padding, resample(x, measured.rate, rate)));
-  addFirstSample(kernel, gain, lead, -1);
+  subtractFirstSample(kernel, gain, lead);
   const prompt = promptModes(pole, column(measured.partial), gain);
   const response = { pole, logZ, gain, velocityGain, prompt, kernel, ratio: 1, lead, padding, edge: EDGE };
   return { ...response, ...excite(response, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
 }
 
 /**
- * Add `factor` times half of the first sample of the sum of modes to the sample `at` of each channel. A knock of the page
+ * Subtract half of the first sample of the sum of modes from the sample `at` of each channel of a knock, which in the page
  * is a part of a continuous response; see `continuous_knock` in model/modal_response.py.
  */
-export function addFirstSample(channels, gain, at, factor) {
-  channels.forEach((x, i) => {
-    if (at < x.length) x[at] += 0.5 * factor * gain[i].re.reduce((sum, y) => sum + y, 0);
+export function subtractFirstSample(knock, gain, at) {
+  knock.forEach((x, i) => {
+    if (at < x.length) x[at] -= 0.5 * gain[i].re.reduce((sum, y) => sum + y, 0);
   });
 }
 
