@@ -192,17 +192,19 @@ def _correlation(waves: np.ndarray) -> float:
 def guess_knock(knocks: KnockFields, midi: int, response: ModalResponse, static: np.ndarray) -> np.ndarray:
     """Return the knock of a key with these modes, without its `static` part [channels, samples]."""
     wanted = knocks.noise_power(midi, _power_between(_ringing(response, static), knocks.rate))
-    noise, lead = _noise(knocks, len(wanted[0])), PRE_ONSET_S * knocks.rate
-    wave = np.zeros_like(noise)
-    for (transform, band), power in zip(_windows(knocks.rate), wanted, strict=True):
+    noises = _noise(len(wanted[0]), knocks.samples, knocks.correlation, knocks.rate)
+    wave = np.zeros((len(wanted[0]), knocks.samples))
+    for (transform, band), noise, power in zip(_windows(knocks.rate), noises, wanted, strict=True):
         shares = np.where((band >= 0)[:, None], power[:, band], 0.0)
-        wave += np.real(transform.istft(transform.stft(noise) * np.sqrt(shares), k1=knocks.samples))
-    before = (np.arange(knocks.samples) - lead) / (BEGINNING_S * knocks.rate)
-    return wave * np.clip(1 + before, 0.0, 1.0)
+        wave += np.real(transform.istft(noise * np.sqrt(shares), k1=knocks.samples))
+    before = np.arange(knocks.samples) / knocks.rate - PRE_ONSET_S
+    return wave * np.clip(1 + before / BEGINNING_S, 0.0, 1.0)
 
 
-def _noise(knocks: KnockFields, channels: int) -> np.ndarray:
-    """White noise of power 1, with the correlation of the recorded channels [channels, samples]."""
+@functools.lru_cache(maxsize=1)  # all keys of an instrument have the same
+def _noise(channels: int, samples: int, correlation: float, rate: int) -> list[np.ndarray]:
+    """White noise of power 1, with the correlation of the recorded channels, in the frames of all windows."""
     random = np.random.default_rng(SEED)
-    common, own = random.normal(size=knocks.samples), random.normal(size=(channels, knocks.samples))
-    return math.sqrt(knocks.correlation) * common + math.sqrt(max(1 - knocks.correlation, 0.0)) * own
+    common, own = random.normal(size=samples), random.normal(size=(channels, samples))
+    noise = math.sqrt(correlation) * common + math.sqrt(max(1 - correlation, 0.0)) * own
+    return [window.transform.stft(noise) for window in _windows(rate)]
