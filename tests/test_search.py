@@ -24,7 +24,7 @@ from pianofit.inference.multistart import (
     sobol_samples,
 )
 from pianofit.inference.objective import Objective, QuadraticSurrogate
-from pianofit.inference.optimiser import Options, minimise, predicted_decrease, step
+from pianofit.inference.optimiser import minimise, predicted_decrease, step
 from pianofit.inference.pipeline import ITERATIONS, fit_string, refine_minima
 from pianofit.literature import preset
 from pianofit.model import simulate
@@ -96,8 +96,8 @@ def test_a_descent_never_raises_F():
 def test_what_went_down_a_parabola_is_then_judged_by_F():
     objective = of_levels()
     replaced = objective.with_surrogate(surrogate())
-    candidates = minimise(replaced, replaced.start(samples(objective, 6), [wide()]), Options(2))
-    judged = minimise(objective, candidates, Options(0))
+    candidates = minimise(replaced, replaced.start(samples(objective, 6), [wide()]), 2)
+    judged = minimise(objective, candidates, 0)
     anew = objective.start(judged.theta, judged.phi, judged.w)
     np.testing.assert_allclose(objective.total(judged), objective.total(anew), rtol=1e-10)
     assert (np.abs(replaced.total(candidates) - objective.total(judged)) > 1.0).any()
@@ -138,7 +138,7 @@ def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
     objective = of_levels()
-    candidates = minimise(objective, objective.start(samples(objective, 6), [wide()]), Options(60))
+    candidates = minimise(objective, objective.start(samples(objective, 6), [wide()]), 60)
     F = objective.total(candidates)
     assert (np.diff(F) >= 0).all()
     gradient, curvature = objective.gradient(candidates), objective.curvature(candidates)

@@ -28,7 +28,7 @@ from pianofit.inference import (
 from pianofit.inference.laplace import laplace, unbounded_warnings
 from pianofit.inference.nuts import density_context, log_density, random_start, reflect_into_bounds
 from pianofit.inference.objective import Objective
-from pianofit.inference.optimiser import Options, minimise
+from pianofit.inference.optimiser import minimise
 from pianofit.inference.parametrisation import names_of
 from pianofit.inference.pipeline import compute_intervals
 from pianofit.inference.profile import DELTA_NLL_95, _Profile, profiles
@@ -258,7 +258,7 @@ def known_excess() -> tuple[FitProblem, Estimate]:
     tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     objective = Objective.complete(problem)
-    candidates = minimise(objective, objective.start(best.theta, best.phi, best.w, best.offset), Options(60))
+    candidates = minimise(objective, objective.start(best.theta, best.phi, best.w, best.offset), 60)
     minima = minima._replace(candidates=candidates, nll=objective.total(candidates))
     return problem, Estimate(*laplace(objective, minima), 0)
 

@@ -1,7 +1,5 @@
 """Derivatives by a complex step, exact to rounding: an imaginary step has no difference of two close values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

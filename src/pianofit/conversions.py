@@ -1,7 +1,5 @@
 """Shared conversions and constants: pitch in equal temperament, cents, decibels, T60, 95 % intervals, beating, MIDI."""
 
-from __future__ import annotations
-
 import math
 
 # Half-width of the 95 % interval of a normal distribution, in standard deviations.

@@ -12,8 +12,6 @@ extends only a number of linewidths from its partial, or to its borders.
 **Levels** in dB are compared with one gain removed. The output path between string and file is in `model.output_path`.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

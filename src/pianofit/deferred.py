@@ -4,8 +4,6 @@ Packages import in one direction: a page imports the result that it shows. A met
 would be an import in the other direction. It calls by name here, and the table names all such calls.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

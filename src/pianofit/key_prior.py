@@ -5,8 +5,6 @@ from the fits of all other keys, `Setup.prior` hands it to a fit, and `fit.json`
 invariants, so they do not depend on an assumed length or mass.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """Fits of a whole sample library in one call, as `pianofit batch` makes them on this machine."""
 
-from __future__ import annotations
-
 import os
 import tomllib
 from collections.abc import Callable, Sequence

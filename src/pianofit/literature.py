@@ -9,8 +9,6 @@ at C7. The C4 of Chaigne and Askenfelt has 262.2 Hz, 4 cents above 440 Hz tuning
 name; 152.1 Hz is 40 cents below D#3.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The folder in which JAX keeps compiled programs between runs. Nothing here imports JAX."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

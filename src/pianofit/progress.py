@@ -1,7 +1,5 @@
 """Progress of long computations: a bar in a terminal, a line in a notebook, nothing elsewhere."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

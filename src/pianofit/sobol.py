@@ -5,8 +5,6 @@ A coordinate of point i is the exclusive or of direction numbers, selected by th
 Kuo 2008). The scrambling is a random lower triangular matrix of bits and a random shift (Matousek 1998).
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -4,8 +4,6 @@ The setup that belongs to it states the sizes, the strike, the pickup and the sc
 the string or the hammer. A fit of the recording has to find them, and `true` has the correct values.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, replace

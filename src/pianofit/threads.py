@@ -1,7 +1,5 @@
 """Numbers of processes and threads, and the settings of numerical libraries that computations need."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

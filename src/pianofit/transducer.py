@@ -6,8 +6,6 @@ x_p/L) for partial k. Its coil, cable and amplifier are an unknown smooth path, 
 for the pressure of a piano. Its aperture is a smooth factor too, which the path absorbs.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -5,21 +5,3 @@ from .analysis_result import COLUMNS, Analysis, Partials, analysis_to_dict, part
 from .inharmonicity import law_frequency, tension_share
 from .note_names import SAME_KEY_CENTS, cents_above, hz_to_note, nearest_note
 from .warnings import beating_warning, count_beating
-
-__all__ = [
-    "COLUMNS",
-    "SAME_KEY_CENTS",
-    "Analysis",
-    "Partials",
-    "analyse",
-    "analysis_to_dict",
-    "beating_warning",
-    "count_beating",
-    "cents_above",
-    "check_analyses",
-    "hz_to_note",
-    "law_frequency",
-    "tension_share",
-    "nearest_note",
-    "partial_rows",
-]

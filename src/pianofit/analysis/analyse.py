@@ -1,7 +1,5 @@
 """Measures one recording: the table of partials, and the frequency law and decay law of the string."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Real

@@ -5,8 +5,6 @@ Coupled strings and the two polarisations of a string split a partial into compo
 All partials are computed at once.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -11,8 +11,6 @@ uncertainty. For each t0 the other parameters follow from generalised least squa
 all partials. The rates then determine rate and slope of the key: r_k = r_1 (f_k/f_1)^s, up to a scatter of partials.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

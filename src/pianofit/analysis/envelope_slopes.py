@@ -17,8 +17,6 @@ least the rms of the neighbours. A bend of the envelope counts as a beat. Deviat
 parabola hide slow beats: on synthetic partials that beat, only 88 % of the late intervals then hold.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ therefore fitted to all partials together, as g exp(-t/τ) cents. It is removed 
 fitted.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ Beyond some twenty partials, windings and shear make real strings deviate smooth
 14 cents below it, partial 45 of an A0 a whole spacing. `local_deviation` predicts this deviation from the neighbours.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from statistics import median

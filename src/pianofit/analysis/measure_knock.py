@@ -1,7 +1,5 @@
 """Measures the knock of a treble note: the energy of the attack in the band of `dsp/knock_band.py`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..conversions import DB

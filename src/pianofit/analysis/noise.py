@@ -5,8 +5,6 @@ power. Partials that still ring there are narrow, so a running median over frequ
 of a sixth of an octave are the noise density. The median of an exponential variable is ln 2 times its mean.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..recording.recording import Recording

@@ -1,7 +1,5 @@
 """Note names and frequencies in equal temperament, A4 = 440 Hz = MIDI 69."""
 
-from __future__ import annotations
-
 import math
 import re
 from numbers import Integral

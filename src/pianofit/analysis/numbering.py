@@ -7,8 +7,6 @@ explains only the multiples. A string with the correct B explains its partials, 
 sums include the multiples.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import replace

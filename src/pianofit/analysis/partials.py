@@ -23,8 +23,6 @@ similar, so it is estimated from a few neighbours, and their systematic errors a
 common part, because vibrations that one stroke begins are in phase.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

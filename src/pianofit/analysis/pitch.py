@@ -4,8 +4,6 @@ A comb k f0 √(1 + B k²) is good if its teeth lie at peaks *and* the peaks lie
 select twice the pitch, the second alone half of it. The score is their product.
 """
 
-from __future__ import annotations
-
 from numbers import Real
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The noise of a key that is let go while its string is silent, cut from its recording."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..recording.recording import Recording

@@ -6,8 +6,6 @@ stroke it rises by more than 6 dB. The others are soft strokes shortly after the
 Noises of the player or the room also raise many partials at once, but far below the initial level of the note.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .baseband_fit import FittedBands

@@ -1,7 +1,5 @@
 """Prominent spectral peaks of a part of the recording, and the noise between them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ band is counted from the noise of the file, so that noise makes none. The onset 
 of a single note. A stroke is sure if its sound has the partials of a string and outlasts a noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

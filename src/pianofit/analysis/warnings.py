@@ -1,7 +1,5 @@
 """Warnings of an analysis: the pitch, B, beats, a second stroke."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..conversions import BEATING_DB

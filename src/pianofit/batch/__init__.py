@@ -7,17 +7,3 @@ from .process_pool import ProcessPool
 from .records import Status, status
 from .run import Progress, plan_jobs, run_batch
 from .second_pass import plan_joint_jobs, run_joint_batch
-
-__all__ = ["Key", "Sample", "read_keys"]
-__all__ += ["Settings", "Job", "make_job", "layout_remarks", "unused_files"]
-__all__ += [
-    "ProcessPool",
-    "DaskPool",
-    "check_cluster",
-    "Progress",
-    "plan_jobs",
-    "run_batch",
-    "plan_joint_jobs",
-    "run_joint_batch",
-]
-__all__ += ["Status", "status"]

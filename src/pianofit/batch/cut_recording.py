@@ -3,8 +3,6 @@
 The recording itself is not changed.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Damper, release noise and noise floor of a key: the measurements beyond its string and hammer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -4,8 +4,6 @@ It writes only into a scratch folder, which it removes. A recording that cannot 
 used.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import socket

@@ -4,8 +4,6 @@ Both are computed from the folders of the keys and the ledger, so they can be de
 batch runs, and at its end. The page plays a recording next to its fit if the file is unchanged and in its place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence

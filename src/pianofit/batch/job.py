@@ -5,8 +5,6 @@ hash covers the contents of the recordings, their given values, the settings, an
 It does not cover paths and times. Remarks on the jobs of a library, before any fit, are here too.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -4,8 +4,6 @@ Manifests are often written on another system. Their separators may be backslash
 disk in case or in the composition of accents. Separators are translated. Differing names are only suggested.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import struct

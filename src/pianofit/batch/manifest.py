@@ -5,8 +5,6 @@ place. A key is an instrument and a note. After all links are followed, files mu
 manifest from an untrusted source therefore cannot make the program read other files.
 """
 
-from __future__ import annotations
-
 import csv
 import difflib
 import io

@@ -5,8 +5,6 @@ after the note that varies is a layer. A part before the note is a layer if it c
 Otherwise it belongs to the instrument. A number that follows from the note is ignored.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Iterator, Sequence

@@ -5,8 +5,6 @@ folder of a key, in one step, then its ledger entry. If it is killed in between,
 or missing, and the folder decides.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import Counter, deque

@@ -6,8 +6,6 @@ fit keeps its first. The hash of a second fit covers its prior. The same call th
 and fits all keys again after one of them changed.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

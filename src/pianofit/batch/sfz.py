@@ -5,8 +5,6 @@ region is used only if a key struck with all pedals up starts it. Other regions 
 single region makes a library fail.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -5,8 +5,6 @@ includes itself would never end. Such a file is rejected. Every other number of 
 of the expanded text is limited.
 """
 
-from __future__ import annotations
-
 import codecs
 import difflib
 import re

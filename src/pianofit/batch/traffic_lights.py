@@ -4,8 +4,6 @@ A light is a number, a word and a colour, so it can be read without the colour. 
 are not used in any computation.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

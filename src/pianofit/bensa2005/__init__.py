@@ -8,5 +8,3 @@ The study in `studies/bensa2005` of the repository tests the findings of the pap
 """
 
 from .method import fit
-
-__all__ = ["fit"]

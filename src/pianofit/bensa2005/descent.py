@@ -9,8 +9,6 @@ measured in widths of the box, so that the result does not depend on their units
 Least squares use SciPy's dogleg in the box (Voglis and Lagaris 2004), which places points exactly on the edges.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache

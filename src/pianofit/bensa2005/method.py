@@ -9,8 +9,6 @@ searched with falling σ. At the first σ the lines of model and recording overl
 recording, where eq. 19 is that of the paper. The hammer is searched at the σ at which the criterion is reported.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import replace

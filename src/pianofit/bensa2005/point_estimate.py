@@ -1,7 +1,5 @@
 """A result without intervals, from the point where one of the paper's searches ended."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

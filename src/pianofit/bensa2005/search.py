@@ -9,8 +9,6 @@ dominate the criterion. For the hammer it is a number of standard deviations of 
 also scales the gradient.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,3 @@
 """Command line: one module for each group of commands."""
 
 from .program import app, main, run
-
-__all__ = ["app", "main", "run"]

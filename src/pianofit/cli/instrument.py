@@ -1,7 +1,5 @@
 """Commands for an instrument: build it, play a MIDI file, write a page to play in a browser."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated, Any

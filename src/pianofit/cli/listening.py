@@ -1,7 +1,5 @@
 """Command for blind listening tests: make a test, or count its answers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

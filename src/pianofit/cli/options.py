@@ -4,8 +4,6 @@ A metavar is a noun in capitals. Two alternatives are joined by |, and FILE.WAV 
 the unit. Defaults are those that typer shows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any

@@ -4,8 +4,6 @@ A parameter of a command has the name that the function behind it gives the argu
 `even=3.0`. The command line writes the option instead: `--even 3.0`.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

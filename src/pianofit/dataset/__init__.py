@@ -9,5 +9,3 @@ from ..schema.dataset import NoteOptions
 from .labelled_note import LabelledNote, notes
 from .table import note_from_labels
 from .write import DatasetSummary, write_dataset
-
-__all__ = ["DatasetSummary", "LabelledNote", "NoteOptions", "note_from_labels", "notes", "write_dataset"]

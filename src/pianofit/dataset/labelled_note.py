@@ -4,8 +4,6 @@ A block of notes is rendered as a whole, so that strokes of one shape share a pr
 options, so a block has the same sounds in every run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -11,8 +11,6 @@ Length and mass are those of the central note: the sound depends on ratios to th
 a stream with the seed, the number of the note and a purpose, so options that add noise do not change the parameters.
 """
 
-from __future__ import annotations
-
 import math
 from enum import IntEnum
 from typing import NamedTuple

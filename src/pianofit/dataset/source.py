@@ -1,7 +1,5 @@
 """The notes that a data set is drawn around: the literature's for each key, or those of a fit or an instrument."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import lru_cache
 from pathlib import Path

@@ -8,8 +8,6 @@ A block is written to a folder with another name, which is then renamed. So an i
 that are missing, and the result does not depend on interruptions or on the number of processes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -4,8 +4,6 @@ Time is divided into blocks. z^n at the start of a block times z^n within a bloc
 exponential per sample. `model/differentiable_sums.py` has the same sums with derivatives.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

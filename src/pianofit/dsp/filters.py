@@ -3,8 +3,6 @@
 They use NumPy alone. `scipy.signal` has them too, but its import takes longer than the analysis of a recording.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

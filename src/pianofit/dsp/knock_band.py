@@ -4,8 +4,6 @@ A string passes a slow force on to the bridge, so this sound follows the spectru
 lies below the lowest partial, whose sound would hide it, and above the slow motion of keybed and action.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # The band, relative to f0. In the treble its energy follows the force within 1.1 dB rms (benchmarks/knock_study.py).

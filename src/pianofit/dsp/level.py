@@ -4,8 +4,6 @@ The energy is that of the real signal without the part that oscillates at twice 
 phase of the partial at the onset and carries no information on the strike.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loudness of a sound, and the log-mel distance of two sounds of one note."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@
 by `hammer`, the pluck by `pluck`. A new excitation is a file in this package and an entry in `OTHERS`.
 """
 
-from __future__ import annotations
-
 from .hammer import VELOCITY_OF_STROKE
 from .pluck import PLUCK, Pluck
 from .protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter
@@ -16,15 +14,3 @@ HAMMER = "hammer"
 # Parameter of a stroke by the name of the excitation.
 STROKES = {HAMMER: VELOCITY_OF_STROKE} | {name: own.stroke for name, own in OTHERS.items()}
 NAMES = (HAMMER, *OTHERS)
-
-__all__ = [
-    "GEOMETRY_FIELDS",
-    "HAMMER",
-    "NAMES",
-    "OTHERS",
-    "PLUCK",
-    "STROKES",
-    "Excitation",
-    "Pluck",
-    "StrokeParameter",
-]

@@ -1,7 +1,5 @@
 """The stroke of a hammer: its velocity. Felt laws (`pianofit.felt`) hold everything else of a hammer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

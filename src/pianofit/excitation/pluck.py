@@ -22,8 +22,6 @@ which is that of an impulse of the size F through the response to the release of
 to an impulse of 1 N s. All that plays forces plays a pluck as such an impulse, with the size of the pluck in N.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple

@@ -6,8 +6,6 @@ contact with a felt, or an initial displacement that is released. The size of a 
 sound. The gains of F integrate it out, so it is not a parameter.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

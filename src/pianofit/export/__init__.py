@@ -3,5 +3,3 @@
 from .formats import SAMPLERS
 from .sampler import ExportSummary, export_sampler
 from .samples import ExportOptions
-
-__all__ = ["SAMPLERS", "ExportOptions", "ExportSummary", "export_sampler"]

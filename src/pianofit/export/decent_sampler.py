@@ -11,8 +11,6 @@ Three knobs on screen change the sound: attack, release and tone. As loaded they
 is that of its damper times the value of its knob.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from xml.etree import ElementTree
 

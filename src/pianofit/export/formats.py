@@ -1,7 +1,5 @@
 """Formats of samplers, and the readme of an exported folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 

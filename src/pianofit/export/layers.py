@@ -12,8 +12,6 @@ Programs that convert sampler files reduce such curves to a power law. `xfade` t
 player: (1 - t) a + t b, which every program with crossfades knows. `plain` plays one layer at its own level.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

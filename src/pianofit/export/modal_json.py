@@ -6,8 +6,6 @@ A program that reads it needs a resonator a mode and a short convolution. `examp
 `examples/players/modal_player.js` are such programs, of some 30 lines.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

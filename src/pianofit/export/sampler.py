@@ -4,8 +4,6 @@ All samples share one gain, so that levels over velocity and keys are preserved.
 transposed from the nearest sampled key.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -4,8 +4,6 @@ A resonance sample is the sound that free strings add to one stroke with the rig
 The motion of free strings follows the force of the hammer, so its level over velocity is that of the stroke.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

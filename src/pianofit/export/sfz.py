@@ -12,8 +12,6 @@ Dampers and pedals use these opcodes, documented at https://sfzformat.com and ch
   pressed after the stroke finds the strings in motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 from ..analysis.note_names import midi_to_note

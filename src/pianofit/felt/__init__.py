@@ -4,8 +4,6 @@ The file of a law holds data and plain arithmetic, so a setup is checked without
 imports, computes the steps of all laws, and `make_hammer` finds a law by its parameters: a new law needs its file only.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from collections.abc import Mapping
 from importlib import import_module
@@ -18,21 +16,6 @@ from .hunt_crossley import HUNT_CROSSLEY, POWER
 from .law import COMMON_PARAMETERS, FeltLaw
 from .relaxing import RelaxingHammer
 from .soft_skin import SOFT_SKIN, SoftHammer
-
-__all__ = [
-    "ALL_PARAMETERS",
-    "COMMON_PARAMETERS",
-    "DEFAULT_LAW",
-    "LAWS",
-    "FeltLaw",
-    "RelaxingHammer",
-    "SoftHammer",
-    "check_hammer",
-    "is_builtin",
-    "law_of",
-    "make_hammer",
-    "plain_law",
-]
 
 # The felt laws of this package by their name in files.
 LAWS: dict[str, FeltLaw] = {

@@ -1,7 +1,5 @@
 """The felt of Hunt and Crossley (paper eq. 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law (Ghosh)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ..parameters import Hammer

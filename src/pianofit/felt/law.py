@@ -5,8 +5,6 @@ values depend on an assumed string mass, or on a velocity that was not measured.
 by t, and every parameter as its unit does, the string sounds the same.
 """
 
-from __future__ import annotations
-
 import re
 from collections import namedtuple
 from collections.abc import Callable, Mapping

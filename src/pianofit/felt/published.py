@@ -1,7 +1,5 @@
 """Priors about published felts and hammers, which all laws of this package share."""
 
-from __future__ import annotations
-
 from ..parameters import PARAMETERS, Parameter
 
 # Prior standard deviations of log(value) around the published hammer for the key. Felts of similar instruments differ

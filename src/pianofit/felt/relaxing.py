@@ -5,8 +5,6 @@ K_H [∫ u^p du - ε (c u - Φ(c))] with Φ' = c^(1/p). The power that the felt 
 ε K_H ċ (u - c^(1/p)), which is never negative.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from ..io.number_format import summary

@@ -6,8 +6,6 @@ p (1 + d/(u + d)). Without a skin it is the felt of Hunt and Crossley. The store
 force, by Gauss-Legendre quadrature.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ recordings of a fit. `multistart` finds its minima, each by `optimiser`. `laplac
 `profile` and `nuts` give intervals by other methods. `run_inference` does all of this.
 """
 
-from __future__ import annotations
-
 from . import priors
 from .batched_model import run_in_batches, string_law
 from .derivatives import LatentPosterior
@@ -18,33 +16,3 @@ from .pipeline import InferenceResult, check_intervals, map_estimate, run_infere
 from .priors import InitialValues, starting_values
 from .problem import FitProblem, build_problem, prior_parametrisation, simulation_grid
 from .recording_objective import RecordingObjective, objective_of
-
-__all__ = [
-    "KNOCK",
-    "LOG_ABSENT_LOSS",
-    "NO_HAMMER",
-    "STRING_SIZE",
-    "Estimate",
-    "FitProblem",
-    "InferenceResult",
-    "InitialValues",
-    "Interval",
-    "LatentPosterior",
-    "Minima",
-    "ObservedValues",
-    "Parametrisation",
-    "Posterior",
-    "RecordingObjective",
-    "build_problem",
-    "check_intervals",
-    "map_estimate",
-    "objective_of",
-    "prior_parametrisation",
-    "priors",
-    "run_in_batches",
-    "run_inference",
-    "select_partials",
-    "simulation_grid",
-    "starting_values",
-    "string_law",
-]

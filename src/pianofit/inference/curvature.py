@@ -13,8 +13,6 @@ and of a censored partial, with m = tᵀr,
 Nodes are summed as in F.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -13,8 +13,6 @@ and given φ, θ is Gaussian with covariance H⁻¹ about its minimum, which lie
 the weight of a draw. The log-weights w of partials take their expectations at each φ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

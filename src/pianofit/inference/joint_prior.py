@@ -10,8 +10,6 @@ the felt's exponent and skin. The determinant of dg/dθ is constant, so the dens
 that the fit does not have, or that it assumes, is integrated out of the Gaussian.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 

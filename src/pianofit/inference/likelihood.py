@@ -36,8 +36,6 @@ take many points at once [B, ...], because the matrices of one point are small. 
 form (derivatives.py).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import jax

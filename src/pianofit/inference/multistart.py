@@ -6,8 +6,6 @@ all share, then on F with a falling lower limit of the excess σ, which smooths 
 the lowest.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 
@@ -20,7 +18,7 @@ from ..sobol import sobol_points
 from .batched_model import thread_pool
 from .likelihood import ObservationTable
 from .objective import Candidates, Objective, QuadraticSurrogate
-from .optimiser import Options, minimise
+from .optimiser import minimise
 from .parametrisation import STRING_SIZE, Parametrisation
 from .problem import FitProblem, brightness
 
@@ -79,7 +77,7 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
 
     def minimised(starts: Sequence[np.ndarray]) -> Candidates:
         """Minimise the candidates [S, size] of every surrogate on that surrogate, and join them."""
-        ends = [minimise(f, f.start(x, [phi]), Options(FIRST_STEPS)) for f, x in zip(fixed, starts, strict=True)]
+        ends = [minimise(f, f.start(x, [phi]), FIRST_STEPS) for f, x in zip(fixed, starts, strict=True)]
         return functools.reduce(Candidates.join, ends)
 
     samples = rank_hammers(objective, sobol_samples(objective, seed), coarse, surrogates)
@@ -90,10 +88,9 @@ def multistart(objective: Objective, seed: int, first: np.ndarray, progress: Pro
     survivors = _survivors(objective, candidates).theta
     candidates = candidates.join(minimised(rank_hammers(objective, survivors, fine, surrogates)))
     progress("hammer", 0.4)
-    above_floor = Options(SECOND_STEPS, sigma_floor=SECOND_FLOOR)
-    candidates = _continued(objective, _survivors(objective, candidates), above_floor)
+    candidates = _continued(objective, _survivors(objective, candidates), SECOND_STEPS, SECOND_FLOOR)
     progress("hammer", 0.5)
-    candidates = _continued(objective, _survivors(objective, candidates, NEAR), Options(LAST_STEPS))
+    candidates = _continued(objective, _survivors(objective, candidates, NEAR), LAST_STEPS)
     progress("restarts", 0.6)
     kinds = _kinds_of_restart(objective, np.random.default_rng(seed), fine)
     for _ in range(ROUNDS):
@@ -118,7 +115,7 @@ def from_starts(objective: Objective, starts: np.ndarray, steps: int) -> Candida
     ranked = rank_hammers(objective, starts, values.law.stroke.fine(values.geometry), surrogates)
     theta = np.concatenate([starts, *ranked])
     error = objective.level_model.discretisation_error_db(theta)
-    candidates = minimise(objective, objective.start(theta, [phi], None, error), Options(steps))
+    candidates = minimise(objective, objective.start(theta, [phi], None, error), steps)
     if not len(candidates):
         raise FitError(NO_HAMMER)
     return candidates
@@ -132,10 +129,11 @@ def _survivors(objective: Objective, candidates: Candidates, within: float = np.
     return candidates.take(np.array(distinct[:SECOND], int))
 
 
-def _continued(objective: Objective, candidates: Candidates, options: Options) -> Candidates:
+def _continued(objective: Objective, candidates: Candidates, steps: int, sigma_floor: float = 0.0) -> Candidates:
     """Minimise F, with the levels of all candidates corrected by the discretisation error of the lowest candidate."""
     error = objective.level_model.discretisation_error_db(candidates.theta[:1])
-    return minimise(objective, objective.start(candidates.theta, candidates.phi, candidates.w, error), options)
+    starts = objective.start(candidates.theta, candidates.phi, candidates.w, error)
+    return minimise(objective, starts, steps, sigma_floor=sigma_floor)
 
 
 def _kinds_of_restart(
@@ -189,10 +187,10 @@ def _restarted(objective: Objective, candidates: Candidates, points: RestartPoin
     trials = fixed.start(points(best, surrogate), best.phi, best.w, best.offset)
     if not len(trials):
         return candidates
-    trials = minimise(fixed, trials, Options(TRIAL))
+    trials = minimise(fixed, trials, TRIAL)
     near = np.flatnonzero(fixed.total(trials) < fixed.total(fixed.enter(best, 0.0)) + NEAR)[:GOING]
     if len(near):
-        candidates = candidates.join(minimise(objective, trials.take(near), Options(LAST_STEPS)))
+        candidates = candidates.join(minimise(objective, trials.take(near), LAST_STEPS))
     return candidates.take(np.argsort(objective.total(candidates), kind="stable"))
 
 

@@ -1,8 +1,6 @@
 """Minimisation of an objective by θ, φ and w together: Levenberg-Marquardt in θ, then BFGS in φ and EM in w."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,28 +16,28 @@ LONGEST_STEP = 1.5
 CONVERGED = 1e-3
 
 
-@dataclass(frozen=True)
-class Options:
-    """When a minimisation ends, and a limit of φ."""
+def minimise(
+    objective: Objective, candidates: Candidates, steps: int, tolerance: float = CONVERGED, sigma_floor: float = 0.0
+) -> Candidates:
+    """Minimise the objective from every candidate; sort, lowest first.
 
-    steps: int  # maximum number
-    tolerance: float = CONVERGED  # smallest decrease of F by a step
-    sigma_floor: float = 0.0  # lowest excess σ of the levels, dB: it smooths the landscape
-
-
-def minimise(objective: Objective, candidates: Candidates, options: Options) -> Candidates:
-    """Minimise the objective from every candidate; sort, lowest first."""
+    Parameters
+    ----------
+    steps : maximum number of steps.
+    tolerance : smallest decrease of F by a step.
+    sigma_floor : lowest excess σ of the levels, dB: it smooths the landscape.
+    """
     count = len(candidates)
     candidates = replace(
-        objective.enter(candidates, options.sigma_floor),
+        objective.enter(candidates, sigma_floor),
         damping=np.minimum(candidates.damping, FIRST_DAMPING),
         last_decrease=np.full(count, np.inf),
     )
-    for _ in range(options.steps):
-        active = np.flatnonzero(candidates.last_decrease > options.tolerance)
+    for _ in range(steps):
+        active = np.flatnonzero(candidates.last_decrease > tolerance)
         if not len(active):
             break
-        candidates = candidates.put(active, step(objective, candidates.take(active), options.sigma_floor))
+        candidates = candidates.put(active, step(objective, candidates.take(active), sigma_floor))
     return candidates.take(np.argsort(objective.total(candidates), kind="stable"))
 
 

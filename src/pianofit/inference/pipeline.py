@@ -1,7 +1,5 @@
 """From recordings to the posterior: fit of the string, search, refinement of every minimum, Laplace's approximation."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +21,7 @@ from .laplace import Estimate, Interval, IntervalResult, Minima, Posterior, lapl
 from .likelihood import walk_covariance
 from .multistart import NO_HAMMER, deduplicate, from_starts, multistart, rank_hammers
 from .objective import Candidates, Objective, QuadraticSurrogate
-from .optimiser import Options, minimise, predicted_decrease
+from .optimiser import minimise, predicted_decrease
 from .parametrisation import STRING_SIZE
 from .problem import FitProblem, build_problem
 from .profile import profiles
@@ -119,7 +117,7 @@ class InferenceResult:
         values = u.law.stroke.fine(self.problem.initial_values.geometry)
         starts = np.concatenate(rank_hammers(objective, hammers, values, surrogates, offset))
         starts = objective.start(starts, [phi], offset=offset)
-        candidates = minimise(objective, starts, Options(ITERATIONS, 0.1))  # to a tenth of a dB
+        candidates = minimise(objective, starts, ITERATIONS, 0.1)  # to a tenth of a dB
         if not len(candidates):
             return np.full(table.value.shape, -300.0)  # no contact ends
         best = candidates.level
@@ -235,7 +233,7 @@ def fit_string(problem: FitProblem) -> Candidates:
         phi.append(starts)
     start = objective.start(np.tile(problem.parametrisation.mean, (len(STRING_STARTS), 1)), phi)
     # Strings of clean recordings are determined to 1e-8.
-    return minimise(objective, start, Options(STRING_STEPS, 1e-6)).take(np.array([0]))
+    return minimise(objective, start, STRING_STEPS, 1e-6).take(np.array([0]))
 
 
 def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
@@ -305,7 +303,7 @@ def refine(
     def minimised(theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Candidates:
         """Minimise each with the discretisation error at its start."""
         starts = objective.start(theta, phi, w, model.discretisation_error_db(theta))
-        return minimise(objective, starts, Options(steps))
+        return minimise(objective, starts, steps)
 
     candidates = minimised(theta, phi, w)
     if not len(candidates):

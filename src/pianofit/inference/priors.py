@@ -10,8 +10,6 @@ key. A length or mass that the setup does not give is the literature's too, and 
 so.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

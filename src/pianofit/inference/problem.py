@@ -1,7 +1,5 @@
 """Definition of one fit: its recordings, their structure, given values and priors, and the settings of the model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -10,8 +10,6 @@ minimised parameters. With few data for φ, both intervals are narrower than the
 minimum only, and uses the discretisation error of the contact at that minimum.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,7 +19,7 @@ import numpy as np
 from ..conversions import HALF_WIDTH_95
 from .laplace import Estimate, Interval, IntervalResult, unbounded_warnings
 from .objective import Objective
-from .optimiser import Options, minimise
+from .optimiser import minimise
 from .problem import FitProblem
 
 # Rise of F at the ends of a 95 % interval: half the square of the normal's quantile.
@@ -102,7 +100,7 @@ class _Profile:
         candidate = objective.start(theta[None], near.phi, near.w, self.offset)
         if not len(candidate):
             return near._replace(F=np.inf)
-        end = minimise(objective, candidate, Options(ITERATIONS, TOLERANCE))
+        end = minimise(objective, candidate, ITERATIONS, TOLERANCE)
         return _Point(near.log, u.log_values(end.theta[0]), end.phi, end.w, float(objective.total(end)[0]))
 
     def _fixed(self, i: int, log: float, near: _Point, logs: np.ndarray) -> _Point:

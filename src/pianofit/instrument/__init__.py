@@ -14,17 +14,3 @@ from .collect_fits import find_fits, instrument_name, load_extras, load_keys
 from .files import load_instrument, write_instrument
 from .instrument import Instrument, Key
 from .predicted_key import prior_of_key
-
-__all__ = [
-    "Instrument",
-    "Key",
-    "VelocityCurve",
-    "build_instrument",
-    "find_fits",
-    "instrument_name",
-    "load_extras",
-    "load_instrument",
-    "load_keys",
-    "prior_of_key",
-    "write_instrument",
-]

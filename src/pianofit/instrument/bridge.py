@@ -6,8 +6,6 @@ each other and lose only what air and felt take. So α_bridge is the decay rate 
 aftersound (Weinreich, J. Acoust. Soc. Am. 62, 1474, 1977).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

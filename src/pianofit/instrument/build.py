@@ -6,8 +6,6 @@ sets only its scale of velocities, where the recordings leave it open. Any other
 its modal response is a guess from those of the recorded keys (`guessed_responses`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

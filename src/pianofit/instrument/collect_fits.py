@@ -6,8 +6,6 @@ keys on one scale. Where the MIDI velocities of the recordings are known, this h
 recordings of other keys are set to the velocities that their own MIDI velocities have.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """The damper law of an instrument, from the keys whose dampers were measured and from the literature."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

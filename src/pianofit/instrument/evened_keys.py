@@ -15,8 +15,6 @@ key's own levels, makes it less like the guesses next to it than it was.
 A key without modal response changes its level alone, and so does the only recorded key.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Instruments from `instrument.json` or from a folder of fits, and the file of an instrument."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ parameter, its posterior is the prior. Nine such keys would then make the law of
 over its posterior without its prior. A prior `WIDER` times as wide takes its place, which keeps covariances finite.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

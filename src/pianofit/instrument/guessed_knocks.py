@@ -13,8 +13,6 @@ has the interpolated power of the independent part. Where it has modes of its ow
 their power, because noise cannot cancel them.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterable, Sequence

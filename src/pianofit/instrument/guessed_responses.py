@@ -13,8 +13,6 @@ A key that was never recorded takes the predictions of the fields (`measured_fie
 Its knock is that of `guessed_knocks`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

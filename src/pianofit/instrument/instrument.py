@@ -1,7 +1,5 @@
 """A playable instrument: the note of every key, and what its fits and keyboard laws report."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -6,8 +6,6 @@ has its own prior, so that of the fit is removed before (`fit_prior`): the liter
 second pass.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -4,8 +4,6 @@ Lengths and masses are mostly assumed, and recordings determine only some combin
 laws use those, so that an assumption does not appear as a difference between keys.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal

@@ -22,8 +22,6 @@ quantity. Its posterior therefore is a mean over them, with those of all other q
 (`quantity_law`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

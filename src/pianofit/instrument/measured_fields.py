@@ -8,8 +8,6 @@ Partials are averaged in cells of frequency as wide as the bands of the ear, in 
 above that by an amount that depends on the number of partials in a cell, and the low cells hold one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Noise floor of the recordings of an instrument."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

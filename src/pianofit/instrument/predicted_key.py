@@ -8,8 +8,6 @@ all velocities together is unknown. The first fits placed it where the literatur
 velocities, and the prior is stated on that scale. Only the deviation of single keys from the common scale is left open.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -7,8 +7,6 @@ posterior is a mean over them. Their posterior density is computed at the points
 the information at the most probable shape (Rue, Martino and Chopin 2009, "integrated nested Laplace approximations").
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ Physics: the key, its action and the damper make a noise when they return, which
 Chosen: how its level depends on the release velocity and on the time that the note sounded. Nobody published either.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Hammer velocity over MIDI velocity, from the layers of all recorded keys."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -3,8 +3,6 @@
 The container is checked first (`containers.py`), because libsndfile reads a truncated file as a shorter sound.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

@@ -4,8 +4,6 @@ libsndfile reads a truncated file as a shorter sound. A recording of a decaying 
 chunks, pages or frames of a container must be complete, and must hold as much sound as the header states.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Input and output of files. Files are read completely or rejected, and written completely or not at all."""
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import errno

@@ -4,8 +4,6 @@ A value and both ends of its interval get the same decimal place: the second sig
 100:2008, GUM, 7.2.6). An end then never rounds to the value.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """Output of tables: HTML for notebooks, CSV and pandas data frames."""
 
-from __future__ import annotations
-
 import csv
 import io
 import os

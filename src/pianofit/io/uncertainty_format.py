@@ -9,8 +9,6 @@ With `u` the precision counts digits of the uncertainty, otherwise it is that of
 same decimal place and share one power of ten.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from decimal import Decimal

@@ -4,8 +4,6 @@ A check returns None, or a message with the measured value, its limit and what t
 of intact piano recordings and those of recordings with an artefact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ webMUSHRA (Schoeffler et al., "webMUSHRA – A comprehensive framework for web-b
 Research Software 6, 2018) is a separate server. This module writes its configuration and its sounds.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ sounds by random numbers, and has their identity in an encoded form. A key next 
 sounds are equally loud. The page saves the answers as JSON.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -4,8 +4,6 @@ A fit identifies its recordings by the hash of their content. Recordings and fit
 under any name.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Count the answers of listening tests: hits by condition, with intervals and p values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Sounds are cut to their onset, those of a pair to the same length, and all get t
 use only the sound itself.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Sounds, questions and trials of a listening test."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple

@@ -1,7 +1,5 @@
 """Layers of a library over the keyboard: their velocities, and the levels that an even instrument would have."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

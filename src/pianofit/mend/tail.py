@@ -8,8 +8,6 @@ The joint is the latest time at which no fade is detected. A file that somebody 
 modes of its key. The joint can lie within the first half of a fade. Where noise prevails, it lies earlier as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

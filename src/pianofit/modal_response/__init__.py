@@ -10,5 +10,3 @@ layers that are left out.
 
 from .aligned_layers import partial_band
 from .model_selection import fit_modal_response
-
-__all__ = ["fit_modal_response", "partial_band"]

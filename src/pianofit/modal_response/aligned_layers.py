@@ -3,8 +3,6 @@
 Their pitches still differ a little, and so do those of single partials. Both are measured from the coherence of phases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

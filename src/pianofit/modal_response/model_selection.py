@@ -6,8 +6,6 @@ recording. The key uses its modes, or its modes and knock, only if they predict 
 model.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -11,8 +11,6 @@ small errors of theirs are large in the sound. So layers are compared by the sou
 with the same weights over time (`PartialModes.basis`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -4,8 +4,6 @@ Step size and scatter are common to all quantities and are integrated over. Diff
 shrink to zero. The posterior mean is linear between strokes and constant beyond them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # Grid of standard deviations, relative (0.1 to 9 dB), for the walk over an e-fold of velocity and for the scatter of a

@@ -1,7 +1,5 @@
 """Patterns, knock and contact times of a key, from the forces of several strokes and their recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Frames are valid from the end of the attack until the partial falls below the no
 weighted relative to its own envelope, and evenly in the logarithm of time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

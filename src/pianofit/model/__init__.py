@@ -10,24 +10,3 @@ from .free_response import level_db, levels, mobility, modal_amplitudes, spectru
 from .modes import Modes, mode_frequencies, mode_table, window_weights
 from .note import Note
 from .simulate import Simulation, contact_rate, simulate
-
-__all__ = [
-    "Modes",
-    "Note",
-    "Simulation",
-    "contact_rate",
-    "kernel",
-    "level_db",
-    "levels",
-    "mobility",
-    "mode_frequencies",
-    "mode_table",
-    "pluck",
-    "project",
-    "modal_amplitudes",
-    "simulate",
-    "spectrum",
-    "strike",
-    "waveform",
-    "window_weights",
-]

@@ -5,8 +5,6 @@ on to the bridge. The spectrum of the force is read from modes that the hammer d
 zero, so they have no effect on the contact, and the force leaves its spectrum in their amplitudes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax.numpy as jnp

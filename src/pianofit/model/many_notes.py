@@ -5,8 +5,6 @@ A stroke whose contact is longer than the stored pulse is computed again with a 
 those of `Note.render`, so both give the same sound up to rounding.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import partial

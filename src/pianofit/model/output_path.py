@@ -4,8 +4,6 @@ Each partial has its own level through the path. A file consists of the modes of
 levels. Their decay rates are those of the string, b1 + b2 β²; decays of single partials belong to the modal response.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ The modes carry past forces as complex amplitudes, as pairs of real and imaginar
 have symbolic zeros as tangents, and products by them are left out.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -4,8 +4,6 @@ JAX caches compiled programs, but traces again in every process, which takes lon
 `persistent_jit` store their traced programs next to the compiled ones, as StableHLO.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """Simulation of a whole strike: choose contact rate and duration, strike, and keep all that a waveform needs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Steps and modes are those of one stroke that is simulated first, so all strokes 
 contact is proven over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ tables are padded to powers of two; rows above the highest mode have weight zero
 with zero state, so that both use one program.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

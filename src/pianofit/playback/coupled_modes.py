@@ -17,8 +17,6 @@ function of the difference of frequencies. So the tapered matrix has no negative
 theorem).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

@@ -10,8 +10,6 @@ and in the knock of the struck key. In an instrument with measured keys nothing 
 They do excite other strings.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ A string is free as far as its damper is lifted. A struck string keeps what othe
 the added motion on the contact with the hammer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

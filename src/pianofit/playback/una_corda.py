@@ -6,8 +6,6 @@ falls to (n - 1)/n. The aftersound, in which strings move against each other, st
 felt alone. The force on a struck string is taken to be that without the pedal, apart from the felt.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 

@@ -10,8 +10,6 @@ stroke, and the modes ring freely afterwards. A finger that plucks a string stop
 stroke, so all output is `lead` samples late.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Offset, noise floor, clipping and channels of a recording."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,6 @@ It is detected in the recording above 20 Hz, in three steps:
    with its own variance (the AR-AIC picker of seismology; Sleeman and van Eck 1999). Predictable hum has no effect.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..dsp.filters import forward_mean, without_drift

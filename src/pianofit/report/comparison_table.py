@@ -10,8 +10,6 @@ assumed the same. A value that scales with an unmeasured velocity is not compara
 different p, because its unit depends on p. The felt force at the reference compression of the key is compared instead.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

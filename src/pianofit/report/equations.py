@@ -8,8 +8,6 @@ TeX: letters, numbers and operators, `_` and `^`, braces, and the commands `\fra
 `\op`, whose argument is upright. Greek letters, signs such as ∫ and spaces stay unchanged.
 """
 
-from __future__ import annotations
-
 import re
 from html import escape
 from unicodedata import normalize

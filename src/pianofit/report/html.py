@@ -9,8 +9,6 @@ A figure of matplotlib becomes one SVG element with selectable text. Every colou
 of its line. Colour maps keep their numbers. They get the class `shades`, which the style inverts on dark pages.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """A fit in short, for readers who want its sound and not its physics: match, tuning, loudness, ring."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A fit as text for a terminal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..analysis import nearest_note

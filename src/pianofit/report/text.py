@@ -3,8 +3,6 @@
 The recipes of the paper leave some entries of a fit empty. Text is plain; the page escapes it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath

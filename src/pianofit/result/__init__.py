@@ -4,10 +4,6 @@
 fit, and `cross_validate` does so for every stroke in turn.
 """
 
-from __future__ import annotations
-
 from .build_result import build_result
 from .fitted_recording import FittedRecording
 from .result import Result
-
-__all__ = ["FittedRecording", "Result", "build_result"]

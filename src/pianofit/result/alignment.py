@@ -1,7 +1,5 @@
 """Alignment of a simulated attack with a recorded one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..dsp.filters import fractional_lag, locate_template

@@ -1,7 +1,5 @@
 """Assembly of a `Result` from an inference: sounds, quantities and sentences."""
 
-from __future__ import annotations
-
 from ..inference import InferenceResult
 from ..schema.fit import Fit, package_versions
 from ..threads import numerical_settings

@@ -1,7 +1,5 @@
 """Comparison of a fit with its recordings: the paper's criterion, and the levels of the partials."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Pairs of parameters that the recordings do not distinguish."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Two errors that need no model are reported for comparison: that of the nearest r
 the best blend, in decibels, of its two neighbours.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields

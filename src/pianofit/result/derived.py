@@ -10,8 +10,6 @@ of them matters is then not identified either. All other doubts are in the width
 no sound show whether the quantity scales with an assumed mass or length, or with the velocities.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

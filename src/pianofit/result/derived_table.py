@@ -1,7 +1,5 @@
 """The derived quantities that every fit reports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

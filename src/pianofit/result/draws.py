@@ -4,8 +4,6 @@ The file is an uncompressed NumPy archive. NumPy's own reader is not used: it pa
 allocates any array size that a header states.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math

@@ -1,7 +1,5 @@
 """The quantities that a fit reports: parameters, velocities and invariants with intervals and statuses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

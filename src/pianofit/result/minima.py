@@ -4,8 +4,6 @@ The velocity discrepancy of a path is the posterior mean of F's random walk over
 linear in log velocity, beyond them constant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

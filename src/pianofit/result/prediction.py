@@ -3,8 +3,6 @@
 Only hammer velocity, gain and pitch are fitted to it. The residual of its partial levels is the prediction error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass

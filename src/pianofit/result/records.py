@@ -1,7 +1,5 @@
 """The records of a fit: its recordings, the output paths and values that follow from them, and the diagnostics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -4,8 +4,6 @@ The record of the fit has the compared levels. Recordings are read and analysed 
 equal the stored one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above

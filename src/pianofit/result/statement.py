@@ -1,7 +1,5 @@
 """The identifiability statement: the kind of measurement, and which parameters it determines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..inference import InferenceResult

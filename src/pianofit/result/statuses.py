@@ -1,7 +1,5 @@
 """The status of every parameter and velocity: whether the recordings determine it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

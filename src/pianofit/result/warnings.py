@@ -1,7 +1,5 @@
 """The warnings of a fit, the most important first."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path

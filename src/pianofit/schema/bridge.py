@@ -1,7 +1,5 @@
 """Admittance of the bridge of an instrument, as it stands in an `instrument.json` and in memory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Decay rates that the dampers of an instrument add, as they stand in an `instrument.json` and in memory."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

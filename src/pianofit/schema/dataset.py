@@ -1,7 +1,5 @@
 """A data set of synthetic notes: frozen records whose fields are the keys of its `dataset.json`."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -5,8 +5,6 @@ do: NumPy arrays, types that are written in another form (`from_builtins` and `t
 entry, its value and what is expected.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

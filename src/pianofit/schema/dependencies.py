@@ -6,8 +6,6 @@ do not hold, however narrow they are, and neither do those of the quantities tha
 these parts and quantities. A quantity is identified only if everything that it stands on is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 from .quantities import Status

@@ -1,7 +1,5 @@
 """Diagnostics of a search, of profiles and of posterior draws, as a `fit.json` has them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from .decode import Number

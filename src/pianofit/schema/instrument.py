@@ -3,8 +3,6 @@
 The package `instrument` uses the same records in memory. Only notes have another form there.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Files of a listening test: the key, which has the identity of every sound, and the answers that a page saves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """An instrument as modes for other engines: the content of a modal JSON file, documented in docs/modal-json.md."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass, field
 from typing import Literal

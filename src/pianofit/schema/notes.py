@@ -1,7 +1,5 @@
 """Notes of a fit: string, hammer, geometry, gain, output path and modal response, each checked before use."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

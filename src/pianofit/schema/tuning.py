@@ -1,7 +1,5 @@
 """The tuning of a piano: frozen records whose fields are the keys of the JSON that `pianofit tuning` writes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

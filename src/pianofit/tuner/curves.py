@@ -12,8 +12,6 @@ Acoust. Soc. Am. 24, 267, 1952, for the inharmonicity that causes it). The stret
 inharmonicities of its two keys, so a curve is determined by the 88 values of B alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..conversions import A4_MIDI, CENTS, HIGHEST_KEY, LOWEST_KEY

@@ -10,8 +10,6 @@ one. Spectra are left out. The program fills them with zeros. Its tuning mode do
 a tuning curve does.
 """
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 from ..conversions import A4, A4_MIDI, LOWEST_KEY

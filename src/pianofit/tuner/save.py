@@ -1,7 +1,5 @@
 """All files of a tuning: page, table, JSON and the file of Entropy Piano Tuner."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

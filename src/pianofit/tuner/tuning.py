@@ -5,8 +5,6 @@ Fits measure pitch and inharmonicity of some keys. The keyboard posterior determ
 includes all correlations between keys, and between pitch and inharmonicity of a key.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

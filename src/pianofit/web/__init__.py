@@ -12,5 +12,3 @@ note in a notebook with the same scripts.
 """
 
 from .write import PageSummary, write_playable_page
-
-__all__ = ["PageSummary", "write_playable_page"]

@@ -7,8 +7,6 @@ sample rate that is sufficient for it. Its step of rounding falls with the squar
 of a knock does not end in silence. Samples are packed with the number of bits that their block needs.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 from bisect import bisect_left

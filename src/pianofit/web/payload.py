@@ -3,8 +3,6 @@
 Knocks take most of the size. They share the room that is left, see `knock_encoding`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

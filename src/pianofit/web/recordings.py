@@ -1,7 +1,5 @@
 """Recordings of the keys of an instrument for a page: cut at the stroke, 16-bit FLAC in base64."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 The front end is one JavaScript module, assembled from the scripts of the page, which anywidget loads.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from typing import Any

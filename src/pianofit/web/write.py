@@ -1,7 +1,5 @@
 """Writer of the page: one HTML file with keyboard, engine and the tables of all keys, without external files."""
 
-from __future__ import annotations
-
 import os
 import re
 from typing import NamedTuple

@@ -1,5 +1,3 @@
 """Export to one Faust program: `tables` computes the tables of a key, `write` writes the `.dsp`."""
 
 from .write import FaustSummary, write_faust
-
-__all__ = ["FaustSummary", "write_faust"]

@@ -9,8 +9,6 @@ The compile time of a Faust table depends on its number of different values: a r
 one. Large tables are therefore integers of few bits, with scales.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

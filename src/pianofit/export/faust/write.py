@@ -1,7 +1,5 @@
 """Writer of the Faust program: one voice, and the tables of all requested keys."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence

@@ -18,8 +18,6 @@ from .. import FeltLaw, law_of
 from . import any_law, relaxing
 from .relaxing import memory_weights, update_relaxation
 
-__all__ = ["compression", "force", "memory_weights", "static_force", "update_relaxation"]
-
 
 def _solver(hammer: Any) -> Any:
     """Return the module with `felt_force`, `root` and `residual` for the law of a hammer."""
