@@ -29,6 +29,9 @@ LIBRARIES = {
     "no separator": ([*names("{n}v{v}", v=range(1, 17)), "rel1", "rel30", "pedalD1", "harmLA0"], "{note}{layer}"),
     "MIDI number": (names("{m}_{v}", v=(30, 127)), "{note}_{layer}"),
     "microphones": (names("Grand D-{n}-{v}-{k}", v="pf", k=("close", "room")), "{instrument}-{note}-{layer}-{mic}"),
+    "microphones by letters": (names("{n}_{v}_{k}", v="pf", k="LR"), "{note}_{layer}_{mic}"),
+    "numbered layers": (names("{n}-L{v}", v=(1, 2, 3)), "{note}-{layer}"),  # as `pianofit cut` names them
+    "round robins": (names("{n}_{v}_R{r}", v="pf", r=(1, 2)), "{note}_{layer}_{take}"),
     "folders of layers": (names("{v}/{n}", v=("p", "f")), "{layer}/{note}"),
     "two instruments": (names("{i}-{n}-{v}", i=("cp80", "grand"), v="pf"), "{instrument}-{note}-{layer}"),
     "capital letter": (names("Piano{n}"), "{instrument}{note}"),

@@ -56,11 +56,18 @@ def test_an_sfz_file_names_keys_velocities_and_samples(tmp_path):
     assert {k.name: [s.file.name for s in k.samples] for k in keys} == {
         "C4": ["loud.wav", "soft one.wav"], "Cs4": ["cs.wav"], "D4": ["D4.wav"],
     }  # fmt: skip
-    assert [s.layer[:8] for s in keys[0].samples] == ["v090-127", "v001-089"]
+    assert [s.layer for s in keys[0].samples] == ["v090-127", "v001-089"]
     assert [s.midi_velocity for s in keys[0].samples] == [108.5, 45.0]
     assert len(remarks) == 1
     assert "1 region without a recorded sample" in remarks[0]
     assert "1 region on release" in remarks[0]
+
+
+def test_samples_of_one_range_of_velocities_are_numbered(tmp_path):
+    library(tmp_path, "", *(f"samples/{n}.wav" for n in ("a", "b", "c")))
+    text = "<region> sample=samples/{}.wav key=60 seq_position={}\n"
+    keys, _ = read_keys(library(tmp_path, "".join(text.format(name, i) for i, name in enumerate("abc", 1))))
+    assert {s.file.stem: s.layer for s in keys[0].samples} == {"a": "v001-127", "b": "v001-127 2", "c": "v001-127 3"}
 
 
 def test_an_sfz_file_may_not_leave_its_folder(tmp_path):

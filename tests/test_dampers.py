@@ -132,6 +132,18 @@ def test_noise_has_the_spectrum_and_level_of_its_recording():
     assert noise_floor([KeyExtras(midi=60)], 1) is None
 
 
+@pytest.mark.parametrize("f0", [27.5, 46.2, 92.5, 261.6])
+def test_partials_that_ring_are_no_noise(f0):
+    """Without silence before the onset, the noise is measured between partials."""
+    random = np.random.default_rng(1)
+    time = np.arange(4 * RATE) / RATE
+    tone = sum(np.exp(-0.3 * time) * np.sin(2 * np.pi * k * f0 * time + k) / k for k in range(1, 40))
+    density = noise_density(pianofit.recording_from_samples(0.1 * tone + 1e-4 * random.normal(size=len(time)), RATE))
+    above = 10 * np.log10(density[0, FREQUENCIES < 0.45 * RATE] / (2e-8 / RATE))
+    assert np.median(np.abs(above)) < 2.0
+    assert np.abs(above).max() < 6.0
+
+
 def test_the_shortest_recording_has_a_noise_floor():
     x = np.random.default_rng(3).normal(size=round(0.09 * RATE))
     density = noise_density(pianofit.recording_from_samples(1e-3 * x, RATE))

@@ -215,6 +215,12 @@ def test_what_is_held_at_the_end_is_let_go():
     assert rms_db(done.samples[0], 2.9, 3.0) > rms_db(done.samples[0], 3.4, 3.6) + 20
 
 
+def test_a_song_is_as_long_at_every_rate():
+    short = Song({60: [(0.0, 80), (0.05, 0)]}, [], 0.05, 1)
+    seconds = [render_song(PIANO, short, rate).samples.shape[-1] / rate for rate in (22_050, 44_100, 96_000)]
+    assert np.ptp(seconds) < 0.02
+
+
 def test_repeated_notes_are_counted():
     done = render_song(
         PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE

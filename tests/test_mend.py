@@ -180,6 +180,58 @@ def test_without_a_change_a_file_is_a_copy(made, tmp_path):
         assert (tmp_path / "out" / file.name).read_bytes() == file.read_bytes()
 
 
+def csv_library(folder: Path, made: Path, name: str) -> Path:
+    """A manifest of the library in which the soft layer has another name, and C#3 (49) lacks it."""
+    soft = "".join(f"library/grand-{midi}-soft.wav,{midi},grand,{name}\n" for midi in KEYS if midi != 50)
+    loud = "".join(f"library/grand-{midi}-loud.wav,{midi},grand,loud\n" for midi in KEYS)
+    (folder / "m.csv").write_text("file,note,instrument,layer\n" + soft + loud)
+    (folder / "library").symlink_to(made)
+    return folder / "m.csv"
+
+
+def test_names_of_layers_are_no_paths(made, tmp_path):
+    library, fits = made
+    before = {file: file.read_bytes() for file in library.iterdir()}
+    manifest = csv_library(tmp_path, library, "/../../library/grand-48-soft")
+    options = MendOptions(tails=0.0)
+    changes, _ = mend_library(manifest, fits, tmp_path / "out", options, root=library)
+    added = [change.file for change in changes if change.change == "added"]
+    assert len(added) == len({*added}) > 1
+    assert all((tmp_path / "out" / name).parent == tmp_path / "out" / "added" for name in added)
+    assert {file: file.read_bytes() for file in library.iterdir()} == before
+    other = tmp_path / "other"
+    other.mkdir()
+    manifest = csv_library(other, library, "loud/")
+    with pytest.raises(SetupError, match="would both be"):
+        mend_library(manifest, fits, other / "out", options, root=library)
+    assert not (other / "out").exists()
+
+
+def test_notes_that_the_fits_contradict_are_refused(made, tmp_path):
+    library, fits = made
+    (tmp_path / "library").mkdir()
+    for midi in KEYS:
+        (tmp_path / "library" / f"grand-{midi - 12}-loud.wav").write_bytes(
+            (library / f"grand-{midi}-loud.wav").read_bytes()
+        )
+    options = MendOptions(tails=0.0, fill=False)
+    with pytest.raises(SetupError, match="--transpose"):
+        mend_library(tmp_path / "library", fits, None, options)
+    changes, _ = mend_library(tmp_path / "library", fits, None, options, transpose=12)
+    assert len(changes) == len(KEYS)
+
+
+def test_a_forced_result_replaces_the_earlier_one(made, tmp_path):
+    library, fits = made
+    out = tmp_path / "out"
+    mend_library(library, fits, out, MendOptions(tails=0.0))
+    (out / "mine.txt").write_text("stays")
+    assert (out / "added").is_dir()
+    mend_library(library, fits, out, MendOptions(tails=0.0, fill=False), force=True)
+    kept = {file.name for file in library.iterdir()}
+    assert {file.name for file in out.iterdir()} == {*kept, "changes.csv", "mine.txt"}
+
+
 def test_a_dry_run_writes_nothing(made, tmp_path, capsys):
     library, fits = made
     before = sorted(library.parent.rglob("*"))

@@ -1,8 +1,9 @@
 """The spectrum of the noise floor of a recording.
 
 It is measured in the silence before the onset if the file has enough of it, otherwise in the second that has the least
-power. Partials that still ring there are narrow, so a running median over frequency ignores them. The medians of bands
-of a sixth of an octave are the noise density. The median of an exponential variable is ln 2 times its mean.
+power. Partials that still ring are narrow in the spectrum of a second, so a running median over frequency ignores them.
+The medians of bands of a sixth of an octave are the noise density. The median of an exponential variable is ln 2 times
+its mean.
 """
 
 import numpy as np
@@ -11,10 +12,12 @@ from ..recording.recording import Recording
 
 # Frequencies of the density, Hz: six an octave over the audible range.
 FREQUENCIES = 20.0 * 2.0 ** (np.arange(61) / 6)
-# Length of a segment, s, and the least length of the silence before the onset: two segments. The end of that silence is
-# left out, s, because a knock begins before the onset.
+# Length of a segment of the silence before the onset, s, and the least length of that silence: two segments. The end of
+# it is left out, s, because a knock begins before the onset.
 SEGMENT, LEAST_SILENCE, GAP = 0.1, 0.2, 0.02
-# Width of the running median, Hz: wider than a partial in a segment, which is 4 / `SEGMENT` wide.
+# Shape of Kaiser's window. Its side lobes lie 100 dB down, so that a partial that rings hides no noise beside it.
+BETA = 14.0
+# Width of the running median, Hz. The lowest partials, 27.5 Hz apart, are 9 Hz wide in a second.
 MEDIAN_WIDTH = 150.0
 
 
@@ -28,8 +31,9 @@ def noise_density(recording: Recording) -> np.ndarray:
     length = min(round(SEGMENT * rate), recording.frames.shape[-1])
     if silence.shape[-1] < LEAST_SILENCE * rate or np.ptp(silence) == 0:
         silence = _quietest_second(recording.frames, rate)
-    starts = range(0, silence.shape[-1] - length + 1, length // 2)
-    window = np.hanning(length)
+        length = silence.shape[-1]  # one segment, in which the partials that ring are narrow
+    starts = range(0, silence.shape[-1] - length + 1, max(length // 4, 1))
+    window = np.kaiser(length, BETA)
     segments = np.stack([silence[:, start : start + length] * window for start in starts])
     power = 2 * np.abs(np.fft.rfft(segments)) ** 2 / (rate * (window @ window))
     return np.array([_density(row, rate / length) for row in np.median(power, axis=0) / np.log(2)])

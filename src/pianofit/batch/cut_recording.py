@@ -81,7 +81,7 @@ def cut_recording(
         return listed
     if any((out / entry.file).resolve() == path.resolve() for entry in listed if entry.file):
         raise SetupError(f"{printable(path)}: would be replaced by one of its strokes; give another --out or --pattern")
-    with output_folder(out, force) as folder:
+    with output_folder(out, force, LIST) as folder:
         for i, (stroke, entry) in enumerate(zip(strokes, listed, strict=True)):
             if entry.file:
                 first = max(stroke.onset - round(BEFORE * rate), 0)

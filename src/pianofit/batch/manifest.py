@@ -21,7 +21,7 @@ from ..analysis.pitch import check_pitch
 from ..conversions import MIDI_VELOCITIES, hertz_of
 from ..errors import AnalysisError, SetupError
 from ..io.containers import is_sound, readable_formats
-from ..io.files import printable, read_text
+from ..io.files import printable, read_text, safe_name
 from ..io.number_format import counted, first_of
 from ..parameters import PARAMETERS
 from .library_files import MAX_RECORDINGS, Row, files_in, find_file
@@ -298,8 +298,7 @@ def _with_strokes(samples: list[Sample]) -> tuple[Sample, ...]:
 
 def _folder_name(instrument: str, note: str) -> str:
     """Name of a folder that every file system accepts."""
-    safe = re.sub(r"[^\w.]+", "-", instrument).strip("-.")[:60]
-    return f"{safe}-{note.replace('#', 's')}" if safe else note.replace("#", "s")
+    return "-".join(filter(None, [safe_name(instrument), note.replace("#", "s")]))
 
 
 def _velocity(text: str) -> float | None:

@@ -46,8 +46,8 @@ DYNAMICS = re.compile(
 )
 NUMBERED = re.compile(r"(?i)[a-z]{0,5}\d+|\d+[a-z]?")
 MICROPHONES = re.compile(
-    r"(?i)(?:close|near|far|room|hall|amb\w*|stereo|mono|left|right|[lr]|side|player|audience|decca|ab|xy|ms|ortf|"
-    r"over\w*|under\w*|inside|outside|mic|binaural)\d*"
+    r"(?i)(?:close|near|far|room|hall|amb\w*|stereo|mono|left|right|side|player|audience|decca|ab|xy|ms|ortf|"
+    r"over\w*|under\w*|inside|outside|mic|binaural)\d*|[lr]"  # L1 is a layer, and R1 a round robin
 )
 
 

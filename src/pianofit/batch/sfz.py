@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import NamedTuple
 
 from ..analysis.note_names import midi_to_note, note_to_midi
@@ -98,10 +98,13 @@ def sfz_rows(source: Path, root: Path, transpose: int = 0) -> tuple[list[Row], l
         f"keys with more than {MAX_RECORDINGS} samples, of which {MAX_RECORDINGS} are used": thinned,
         "text that is not UTF-8, read as Windows-1252": [printable(file.name) for file in text.recoded],
     }
-    rows = [
-        Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=s.layer, midi_velocity=s.midi_velocity)
-        for s in kept
-    ]
+    count, rows = Counter[tuple[int, str]](), []
+    for s in kept:
+        count[s.root, s.layer] += 1
+        number = count[s.root, s.layer]
+        # Samples of a key with one range of velocities, such as round robins, are numbered from the second on.
+        layer = s.layer if number == 1 else f"{s.layer} {number}"
+        rows.append(Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=layer, midi_velocity=s.midi_velocity))
     return rows, [f"{heading}: {first_of(names)}" for heading, names in lists.items() if names]
 
 
@@ -117,7 +120,7 @@ def _add(library: _Library, number: int, region: dict[str, str], transpose: int)
         return "whose root note is not that of a piano key"
     library.switches |= {region["sw_last"]} if "sw_last" in region else set()
     softest, hardest = _integer(region, "lovel", 1), _integer(region, "hivel", 127)
-    layer = f"v{softest:03d}-{hardest:03d} {PurePosixPath(file).with_suffix('')}"
+    layer = f"v{softest:03d}-{hardest:03d}"
     middle = 0.5 * (max(softest, 1) + hardest)
     sample = _Sample(number, file, note, layer, None if softest <= 1 and hardest >= 127 else middle)
     choice = tuple(sorted(item for item in region.items() if _SELECTOR.fullmatch(item[0])))
@@ -151,7 +154,7 @@ def _thinned(samples: Sequence[_Sample]) -> tuple[list[_Sample], list[str]]:
         keys.setdefault(s.root, []).append(s)
     kept: list[_Sample] = []
     for of_key in keys.values():
-        ordered, step = sorted(of_key, key=lambda s: s.layer), max(len(of_key) / MAX_RECORDINGS, 1.0)
+        ordered, step = sorted(of_key, key=lambda s: (s.layer, s.file)), max(len(of_key) / MAX_RECORDINGS, 1.0)
         kept += [ordered[int(i * step)] for i in range(min(len(of_key), MAX_RECORDINGS))]
     return sorted(kept, key=lambda s: s.number), [midi_to_note(k) for k, s in keys.items() if len(s) > MAX_RECORDINGS]
 

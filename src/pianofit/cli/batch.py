@@ -24,7 +24,7 @@ from ..recording.measurements import checked_channel
 from ..threads import MEMORY, TIME_LIMIT
 from . import options
 from .fits import setup_of_options
-from .options import choice, flag, integer, process_count, real, text
+from .options import choice, flag, process_count, real, text
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -67,15 +67,8 @@ def batch(
             default="guessed from the names",
         ),
     ] = None,
-    root: Annotated[
-        Path | None,
-        text(
-            "DIR",
-            "Folder that must contain all recordings, after resolving links.",
-            default="that of LIBRARY",
-        ),
-    ] = None,
-    transpose: Annotated[int, integer("N", "Semitones added to every note name, such as 12 or -12.")] = 0,
+    root: options.Root = None,
+    transpose: options.Transpose = 0,
     setup: Annotated[Path | None, text("SETUP.TOML", "Setup for all keys, without [[recording]].")] = None,
     felt: options.Felt = None,
     excitation: options.Excitation = None,

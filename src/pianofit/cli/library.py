@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..progress import progress_bar
-from .options import DryRun, Force, Json, Prefix, real, text
+from .options import DryRun, Force, Json, Prefix, Root, Transpose, real, text
 from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
@@ -74,6 +74,8 @@ def mend(
     pattern: Annotated[
         str | None, text("PATTERN", "Form of the file names, as for pianofit batch.", default="guessed from the names")
     ] = None,
+    root: Root = None,
+    transpose: Transpose = 0,
     prefix: Prefix = None,
     dry_run: DryRun = False,
     force: Force = False,
@@ -88,7 +90,16 @@ def mend(
     options = MendOptions(tails, even_levels, onsets, fill, None if keys is None else tuple(parse_keys(keys)))
     with progress_bar() as bar:
         changes, remarks = mend_library(
-            library, fits, out, options, pattern=pattern, prefix=prefix, force=force, progress=bar
+            library,
+            fits,
+            out,
+            options,
+            pattern=pattern,
+            root=root,
+            transpose=transpose,
+            prefix=prefix,
+            force=force,
+            progress=bar,
         )
     for remark in remarks:
         print_error(remark)

@@ -84,6 +84,11 @@ Built = Annotated[
     Path, typer.Argument(metavar="DIR|INSTRUMENT.JSON", help="The folder of a batch, or an instrument.json.")
 ]
 Prefix = Annotated[str | None, text("NAME", "Instrument to use if the folder holds several, such as cp80.")]
+Root = Annotated[
+    Path | None,
+    text("DIR", "Folder that must contain all recordings, after resolving links.", default="that of LIBRARY"),
+]
+Transpose = Annotated[int, integer("N", "Semitones added to every note name, such as 12 or -12.")]
 Even = Annotated[
     float,
     real("AMOUNT", "Move recorded keys towards the laws in level, decay and brightness: 0 (as fitted) to 1 (wholly)."),

@@ -58,6 +58,12 @@ class _Command(TyperCommand):
         except BrokenPipeError:  # the reader of the output, such as head, has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(0) from None
+        except OSError as error:
+            if error.filename is None:
+                raise
+            # A name that is too long, or a folder without permission: no question about the file has an answer.
+            print_error(f"{printable(error.filename)}: cannot be used ({error.strerror}); check the path")
+            raise typer.Exit(1) from None
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Words after the command name on the usage line."""

@@ -2,12 +2,14 @@
 
 import codecs
 import contextlib
+import csv
 import errno
 import functools
 import hashlib
 import io
 import json
 import os
+import re
 import signal
 import stat
 import sys
@@ -23,6 +25,8 @@ from ..errors import OutputError, ParameterError, PianofitError, check_range, ch
 
 # The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
 HIGHEST_RATE = 10_000_000  # Hz
+# Most characters that a name takes over from a text: file systems allow 255 bytes for several such parts.
+LONGEST_NAME = 60
 MAX_CHANNELS = 8
 # Peak of sounds for listening, full scale = 1. -1 dB leaves headroom for players that resample.
 PEAK_LIMIT = 10 ** (-1 / 20)
@@ -127,8 +131,11 @@ def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> Outp
 
 
 @contextlib.contextmanager
-def output_folder(path: Path, force: bool) -> Iterator[Path]:
+def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
     """Create an output folder if needed, hold it, and remove it again if it stays empty.
+
+    With `force`, the files of an earlier result that its `listing` names, a CSV with the column `file`, are removed at
+    the end, except those of the new one.
 
     Raises `OutputError` if the folder cannot be created, is a file, is not empty and `force` is False, or if another
     process holds it.
@@ -158,9 +165,25 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
                     f"{name}: the folder is not empty; give another, or --force to replace a result in it (in Python "
                     "force=True)"
                 )
+            earlier = _listed(path, listing)
             yield path
+            for stale in earlier - _listed(path, listing):
+                stale.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    stale.parent.rmdir()
         finally:
             cleanup()
+
+
+def _listed(folder: Path, listing: str) -> set[Path]:
+    """Return the files in `folder` that the column `file` of its `listing` names; none without such a list."""
+    try:
+        with (folder / listing).open(newline="", encoding="utf-8") as text:
+            named = [folder / row["file"] for row in csv.DictReader(text) if row["file"]]
+    except (OSError, ValueError, KeyError, csv.Error):
+        return set()
+    inside = folder.resolve()
+    return {file for file in named if file.is_file() and file.resolve().is_relative_to(inside)}
 
 
 @contextlib.contextmanager
@@ -251,7 +274,7 @@ def check_target(path: Path, force: bool, *endings: str) -> None:
     """Raise an `OutputError` if a file cannot be written, before its content is computed.
 
     That is so if its name has none of the `endings`, if it exists and `force` is False, is a folder, or its folder does
-    not exist.
+    not exist or is not writable.
     """
     check_ending(path, *endings)
     if path.is_dir():
@@ -262,6 +285,13 @@ def check_target(path: Path, force: bool, *endings: str) -> None:
         raise OutputError(
             f"{printable(path)}: the folder {printable(path.parent)} does not exist; create it, or give another --out"
         )
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{printable(path)}: the folder {printable(path.parent)} is not writable; give another --out")
+
+
+def safe_name(text: str) -> str:
+    """Return a text as part of a file name that every file system accepts, at most `LONGEST_NAME` characters."""
+    return re.sub(r"[^\w.]+", "-", text).strip("-.")[:LONGEST_NAME]
 
 
 def check_ending(path: str | os.PathLike[str], *endings: str) -> None:

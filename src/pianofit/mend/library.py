@@ -6,9 +6,8 @@ Originals are only read. A recording that nothing changes is copied byte for byt
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +20,18 @@ from ..errors import FitError, RecordingError, SetupError, check_range
 from ..instrument import Instrument, load_instrument
 from ..instrument.key_quantities import stroke_level
 from ..io.audio import decode_file
-from ..io.files import PEAK_LIMIT, encode_pcm, encode_wav, limit_peak, output_folder, printable, read_file, replace_file
+from ..io.files import (
+    PEAK_LIMIT,
+    encode_pcm,
+    encode_wav,
+    limit_peak,
+    output_folder,
+    printable,
+    read_file,
+    replace_file,
+    safe_name,
+    write_error,
+)
 from ..io.table_output import write_csv
 from ..model.modal_response import PRE_ONSET_S
 from ..recording.recording import MAX_BYTES, load_recording
@@ -97,6 +107,8 @@ def mend_library(
     options: MendOptions,
     *,
     pattern: str | None = None,
+    root: Path | None = None,
+    transpose: int = 0,
     prefix: str | None = None,
     force: bool = False,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -109,7 +121,7 @@ def mend_library(
     fits : folder of its fits, as `pianofit batch` wrote it.
     out : folder for the mended recordings and `changes.csv`; None only lists the changes.
     options : what is mended.
-    pattern : as for `read_keys`.
+    pattern, root, transpose : as for `read_keys`.
     prefix : name of the instrument, if the library has several.
     force : replace a result in the folder.
     progress : called with the name of the step and the finished fraction.
@@ -128,7 +140,7 @@ def mend_library(
     check_range("tails=", options.tails, 0.0, 120.0, " s")
     check_range("even_levels=", options.even_levels, 0.0, 1.0)
     check_range("onsets=", options.onsets, 0.0, 1.0)
-    keys, remarks = read_keys(library, pattern=pattern)
+    keys, remarks = read_keys(library, pattern=pattern, root=root, transpose=transpose)
     names = sorted({key.instrument for key in keys})
     if len(names) > 1 if prefix is None else prefix not in names:
         which = "several instruments" if prefix is None else f"no instrument {printable(prefix)!r}"
@@ -136,7 +148,7 @@ def mend_library(
             f"{printable(library)}: has {which}; choose one of {', '.join(map(printable, names))} by --prefix"
         )
     keys = [key for key in keys if prefix is None or key.instrument == prefix]
-    root = (library if library.is_dir() else library.parent).resolve()
+    root = (root or (library if library.is_dir() else library.parent)).resolve()
     # The strokes of all keys; recordings of other roles are left out.
     notes = [(key, sample) for key in keys for sample in key.samples if sample.role == "note"]
     files = [sample.file for _, sample in notes]
@@ -148,7 +160,7 @@ def mend_library(
     if out is None:
         return [change for sound in sounds for change in sound.changes], remarks
     changes: list[Change] = []
-    with output_folder(out, force) as folder:
+    with output_folder(out, force, LIST) as folder:
         for sound in sounds:
             _write(folder, sound)
             changes += sound.changes
@@ -158,12 +170,19 @@ def mend_library(
 
 def _read(notes: list[tuple[Key, Sample]], root: Path, instrument: Instrument, digests: dict[Path, str]) -> _Library:
     """Find the velocities of all recordings."""
-    fitted = [key.fit for key in instrument.keys.values() if key.fit is not None]
-    velocity = {layer.sha256: layer.velocity for fit in fitted for layer in fit.layers}
+    fitted = {midi: key.fit for midi, key in instrument.keys.items() if key.fit is not None}
+    strokes = {layer.sha256: (midi, layer.velocity) for midi, fit in fitted.items() for layer in fit.layers}
     recorded: dict[str, dict[int, float]] = {}
     for key, sample in notes:
-        if digests[sample.file] in velocity:
-            recorded.setdefault(sample.layer, {})[note_to_midi(key.note)] = velocity[digests[sample.file]]
+        midi, velocity = strokes.get(digests[sample.file], (None, 0.0))
+        if midi is None:
+            continue
+        if midi != note_to_midi(key.note):
+            raise SetupError(
+                f"{printable(sample.file)}: is {key.note} here and {midi_to_note(midi)} in --fits; give the "
+                "--transpose of pianofit batch"
+            )
+        recorded.setdefault(sample.layer, {})[midi] = velocity
     if not recorded:
         raise FitError(f"--fits: holds no fit of the recordings in {printable(root)}; give that of pianofit batch")
     return _Library(root, notes, instrument, layer_laws(recorded), recorded)
@@ -194,6 +213,7 @@ def _mended(
     several = any(sample.group for _, sample in library.notes)
     if several and (options.fill or options.even_levels):
         remarks.append("the library has several microphones; sounds are not added and levels stay as they are")
+    missing = _missing(library, options) if options.fill and not several else {}
     gains, common = _gains(library, options.even_levels) if options.even_levels and not several else ({}, 0.0)
     if common < 0:
         remarks.append(f"all levels are lowered by {-common:.1f} dB, so that the loudest stays below full scale")
@@ -207,8 +227,8 @@ def _mended(
         yield _mend(library, options, key, sample, original, gain)
         layouts[len(original.sound), original.rate, original.bits, _kind(sample.file)] += 1
         progress("mending", (i + 1) / len(library.notes))
-    if options.fill and not several:
-        yield from _filled(library, options, layouts.most_common(1)[0][0], common, progress)
+    if missing:
+        yield from _filled(library, options, missing, layouts.most_common(1)[0][0], common, progress)
 
 
 def _gains(library: _Library, even: float) -> tuple[dict[Path, float], float]:
@@ -309,20 +329,38 @@ def _kind(file: Path) -> str:
     return "flac" if file.suffix.lower() == ".flac" else "wav"
 
 
+def _missing(library: _Library, options: MendOptions) -> dict[str, tuple[int, str]]:
+    """Return the keys and layers that were not recorded, by the name of their file without its ending.
+
+    Raises a `SetupError` if two have one name.
+    """
+    recorded = sorted(set().union(*library.recorded.values()))
+    present = {(note_to_midi(key.note), sample.layer) for key, sample in library.notes}
+    wanted = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
+    found: dict[str, tuple[int, str]] = {}
+    for midi, layer in wanted:
+        if (midi, layer) in present:  # also a recording without a fit is there
+            continue
+        parts = library.notes[0][0].instrument, midi_to_note(midi).replace("#", "s"), layer
+        name = "-".join(filter(None, map(safe_name, parts)))
+        if name in found:
+            layers = " and ".join(printable(repr(one)) for one in (found[name][1], layer))
+            raise SetupError(f"layers {layers}: their added sounds would both be {name}; rename one, or add none")
+        found[name] = midi, layer
+    return found
+
+
 def _filled(
     library: _Library,
     options: MendOptions,
+    missing: Mapping[str, tuple[int, str]],
     layout: tuple[int, int, int, str],
     common: float,
     progress: Callable[[str, float], None],
 ) -> Iterator[_Sound]:
     """Yield the sounds that were not recorded, as the instrument plays them, with a `common` gain, dB."""
     channels, rate, bits, kind = layout
-    recorded = sorted(set().union(*library.recorded.values()))
-    present = {(note_to_midi(key.note), sample.layer) for key, sample in library.notes}
-    wanted = missing_sounds(library.recorded, options.keys or range(recorded[0], recorded[-1] + 1))
-    missing = [sound for sound in wanted if sound not in present]  # also a recording without a fit is there
-    for i, (midi, layer) in enumerate(missing):
+    for i, (name, (midi, layer)) in enumerate(missing.items()):
         key, velocity = library.instrument.keys[midi], library.laws[layer].velocity(midi)
         seconds = options.tails or MendOptions().tails
         sound = np.atleast_2d(key.note.render(velocity, seconds=seconds, rate=rate, mono=channels == 1))
@@ -332,21 +370,22 @@ def _filled(
         level = even_level(library.instrument, midi, library.laws[layer]) if amount else 0.0
         gain = common + amount * (level - stroke_level(key.note, velocity) if amount else 0.0)
         sound, limited = limit_peak(10 ** (gain / 20) * end_in_silence(sound, round(PRE_ONSET_S * rate)))
-        note = midi_to_note(midi)
-        name = "-".join(part for part in (library.notes[0][0].instrument, note.replace("#", "s"), layer) if part)
-        detail = "computed from the fit of this key" if midi in recorded else "computed from the keyboard laws"
+        detail = "computed from the fit of this key" if key.fit is not None else "computed from the keyboard laws"
         detail += f", lowered by {-20 * np.log10(limited):.2f} dB to stay below full scale" * (limited < 1)
         place = f"{ADDED}/{name}.{kind}"
-        change = Change(place, note, layer, "added", None, round(velocity, 3), "m/s", detail)
+        change = Change(place, midi_to_note(midi), layer, "added", None, round(velocity, 3), "m/s", detail)
         yield _Sound(place, np.broadcast_to(sound, (channels, sound.shape[-1])), rate, bits, [change])
         progress("adding", (i + 1) / len(missing))
 
 
 def _write(folder: Path, sound: _Sound) -> None:
     file = folder / sound.file
-    file.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(file.parent, error, "choose another --out") from None
     if isinstance(sound.content, Path):
-        shutil.copyfile(sound.content, file)
+        replace_file(file, read_file(sound.content, MAX_BYTES, RecordingError))
     elif sound.bits == FLOAT_BITS and _kind(file) == "wav":
         replace_file(file, encode_wav(sound.content, sound.rate))
     else:

@@ -27,12 +27,12 @@ from .voice import StringVoice
 
 # After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
-# Level of resonance below the peak of the song at which it ends, dB.
+# Level below the peak of the song at which its sound ends, dB.
 INAUDIBLE_DB = -110.0
 # Largest gain reduction by the limiter. Any further reduction applies to the whole song.
 MOST_LIMITED_DB = 3.0
-# Samples of free vibration that are computed at once.
-CHUNK_SAMPLES = 2**16
+# Free vibration that is computed at once, s: a string falls silent at the end of such a part.
+CHUNK_SECONDS = 0.5
 # Span of the limiter before and after a sample, s.
 LOOKAHEAD = 0.02
 
@@ -146,7 +146,7 @@ def render_song(
     pedal_range, end = options.pedal_range, song.seconds + LAST_HELD
     unplayed = key_motions(song, -1, pedal_range, end)
     contact = np.empty((len(instrument.keys), hop_count(size - lead, rate)))
-    total, strokes, hits, last = np.zeros((instrument.channels, size)), list[Stroke](), list[bool](), 0
+    total, strokes, hits = np.zeros((instrument.channels, size)), list[Stroke](), list[bool]()
     for row, key in zip(contact, sorted(instrument.keys), strict=True):
         motions = key_motions(song, key, pedal_range, end) if key in song.keys else unplayed
         row[:] = mean_contact([(round(m.seconds * rate), m.contact) for m in motions], len(row), rate)
@@ -158,7 +158,6 @@ def render_song(
             sound = string.through_path(sound)[:, : size - begin]
             stop = begin + sound.shape[-1]
             total[:, begin:stop] += sound  # a single channel is added to all
-            last = max(last, stop)
             strokes += [stroke for stroke, _ in struck]
             hits += [was_moving for _, was_moving in struck]
             progress("playing", (0.7 if resonance else 0.98) * len(hits) / song.notes)
@@ -173,22 +172,23 @@ def render_song(
             lambda share: progress("playing", 0.7 + 0.28 * share),
         )
         total[:, lead:] += added
-        audible = np.abs(added).max(axis=0) > max(10 ** (INAUDIBLE_DB / 20) * np.abs(total).max(), SILENCE)
-        last = max(last, lead + int(np.flatnonzero(audible).max(initial=-1)) + 1)
-    last = max(last, _add_releases(total, instrument, song, rate, lead))
+    _add_releases(total, instrument, song, rate, lead)
+    # The last fade follows the sound. Only what rings on at the end of the song, such as the treble, is faded itself.
+    sound = np.abs(total).max(axis=0)
+    audible = np.flatnonzero(sound > max(10 ** (INAUDIBLE_DB / 20) * sound.max(), SILENCE))
+    last = min(audible[-1] + 1 + round(LAST_FADE * rate), size) if len(audible) else 0
     if options.noise and instrument.noise is not None:
         total[:, :last] += instrument.noise.sound(last, rate, options.seed)
-    fade = min(round(LAST_FADE * rate), last)  # the treble has no dampers, and noise has no end
+    fade = min(round(LAST_FADE * rate), last)
     total[:, last - fade : last] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(10 ** (options.gain_db / 20) * total[:, :last], rate)
     return Performance(samples, gain_db, limited_db, len(hits), sum(hits))
 
 
-def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: int, lead: int) -> int:
-    """Add the noises of keys that are let go; return the end of the last one, samples."""
+def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: int, lead: int) -> None:
+    """Add the noises of keys that are let go."""
     if instrument.release is None:
-        return 0
-    last = 0
+        return
     for key in song.keys:
         for at, held in releases(song, key):
             velocity = song.release_velocities.get((key, at), RECORDED_VELOCITY)
@@ -196,8 +196,6 @@ def _add_releases(total: np.ndarray, instrument: Instrument, song: Song, rate: i
             sound = instrument.release.sound(key, velocity, held, rate)[:, : total.shape[-1] - begin]
             end = begin + sound.shape[-1]
             total[:, begin:end] += sound[: len(total)] if len(sound) >= len(total) else sound.mean(axis=0)
-            last = max(last, end)
-    return last
 
 
 def _phrases(
@@ -212,7 +210,7 @@ def _phrases(
     for motion in [*motions, KeyMotion(size / string.rate, velocity=0, contact=0.0)]:
         end = min(round(motion.seconds * string.rate), size)
         while at < end and string.is_audible:
-            sounds.append(string.ring(min(CHUNK_SAMPLES, end - at)))
+            sounds.append(string.ring(min(round(CHUNK_SECONDS * string.rate), end - at)))
             at += sounds[-1].shape[-1]
         if sounds and (at < end or at >= size):
             yield begin, np.concatenate(sounds, axis=-1), struck
