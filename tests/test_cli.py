@@ -128,6 +128,13 @@ def test_a_folder_that_is_not_ours_is_refused(command, tmp_path, capsys):
     assert "locked" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["status {}", "page {}", "batch {}/a --out {}", "play {}/a.json b.mid --out c.wav"])
+def test_a_name_that_is_too_long_is_one_line(command, tmp_path, capsys):
+    assert main(command.replace("{}", str(tmp_path / ("y" * 256))).split()) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "yyy" in line
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, number):
     out = tmp_path / "runs" / "out"

@@ -115,6 +115,16 @@ def test_the_schema_describes_every_column(tmp_path):
     assert (schema["seed"], schema["count"], schema["options"]["keys"]) == (3, 2, ["C5", "C6"])
 
 
+def test_a_fit_that_was_replaced_is_read_again(tmp_path):
+    place = tmp_path / "instrument.json"
+    pitch = []
+    for midi in (60, 67):
+        write_instrument(place, piano_of({midi: true_note(midi)}))
+        made = next(notes(1, options=NoteOptions(around=str(tmp_path), seconds=0.02)))
+        pitch.append(made.labels["f0"])
+    assert pitch[1] > 1.3 * pitch[0]
+
+
 def test_layers_differ_in_velocity_and_noise_only():
     made = list(notes(4, options=NoteOptions(keys=("C5", "C6"), seconds=0.1, layers=3, noise_db=(40.0, 60.0))))
     for first in range(0, 12, 3):

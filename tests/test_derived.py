@@ -231,6 +231,29 @@ def test_a_function_that_returns_no_number_is_rejected(function, error):
         calibrated().derived(function)
 
 
+@pytest.mark.parametrize(
+    ("function", "word"),
+    [
+        (lambda draw: draw.felt_force(-1e-4), "compression"),
+        (lambda draw: draw.local_exponent(0.0), "compression"),
+        (lambda draw: draw.t60(0), "partial"),
+    ],
+)
+def test_a_compression_or_a_partial_that_does_not_exist_is_named(function, word):
+    with pytest.raises(ParameterError, match=word):
+        calibrated().derived(function)
+
+
+def test_the_felt_force_and_its_ratio_to_the_mass_have_one_interval():
+    result = calibrated()
+    force, ratio, mass = result.derived_quantities.felt_force, result.invariants["F/M_S"], result.parameters.M_S.value
+    assert force.interval == pytest.approx([end * mass for end in ratio.interval], rel=1e-9)
+    # It is that of the draws, up to the scatter of their quantiles.
+    u = 1e-3 * result.fit.derived.reference_compression_mm
+    drawn = result.derived(lambda draw: draw.felt_force(u))
+    assert np.log(force.interval) == pytest.approx(np.log(drawn.interval), abs=0.3 * np.ptp(np.log(force.interval)))
+
+
 # --- the reference compression ----------------------------------------------------------------------------------------
 
 

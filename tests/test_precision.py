@@ -139,7 +139,7 @@ with jax.enable_x64(True):
     hammer = jax.tree.map(float, p.hammer)
     first = jax.jit(jax.grad(lambda h: levels(h)[0]))
     found = [*jax.jit(jax.jacfwd(levels))(hammer), *first(hammer)]
-with jax.transfer_guard(guard):
+with jax.transfer_guard(guard), jax.disable_jit(guard == "disallow"):
     found.append(pf.Note(p.string, p.hammer, p.geometry, "bridge-force", 0.1).render(seconds=0.1))
     with x64_scope():
         found.append(np.asarray(jax.random.normal(jax.random.PRNGKey(3), 4)))

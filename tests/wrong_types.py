@@ -81,6 +81,33 @@ CALLS = {
     "path of an instrument": pf.load_instrument,
     "path of a listening test": lambda x: pf.write_listening_test("a", "b", x),
     "seed of a song": lambda x: pf.PlayOptions(seed=x).check(),
+    "tuning": lambda x: pf.write_tuning("out", x),
+    "keys of a data set": lambda x: next(pf.notes(1, options=pf.NoteOptions(keys=x))),
+    "count": lambda x: NOTE.levels(2.0, count=x),
+    "channel of a recording": lambda x: pf.fit(recording(), channel=x),
+    "parameter of a law": lambda x: pf.FeltLaw("own", {"parameter": x}, force=max),
+    "displacement": lambda x: pf.simulate(F3.string, F3.hammer, F3.geometry, n_modes=64, displacement=x),
+}
+
+
+# Values of the right type that cannot be used, by the word that the error must have.
+VALUES = {
+    "velocity": (lambda x: pf.fit(recording(), velocity=x), (True,)),
+    "force=": (lambda x: pf.pluck(modes(), x), (True, np.array([1.0, 2.0]), "2")),
+    "M_H": (
+        lambda x: pf.simulate(F3.string, F3.hammer._replace(M_H=x), F3.geometry),
+        (np.array([0.003, 0.004]),),
+    ),
+    "c=": (lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry), (np.array([300.0, 320.0]),)),
+    "count": (lambda x: NOTE.levels(2.0, count=x), (0, 1.5)),
+    "displacement": (CALLS["displacement"], (np.zeros(3), np.full(64, np.nan))),
+    "gains": (
+        lambda x: pf.predict_recording(NOTE, recording(), gains=x),
+        ("x", [np.nan], [1j], np.array(["x"]), {}),
+    ),
+    "force": (lambda x: pf.FeltLaw("own", {}, force=x), (None, "F", 3.0)),
+    "rate": (lambda x: pf.mode_table(F3.string, F3.geometry, rate=x, n_modes=8), (0.0, -1.0)),
+    "Pluck": (lambda x: pf.strike(modes(), x, steps=512), (pf.Pluck(1.0),)),
 }
 
 
@@ -102,14 +129,14 @@ def faults() -> Iterator[str]:
             words = refusal(call, wrong)
             if words is None or name.split()[0] not in words or "\n" in words:
                 yield f"{name} = {wrong!r}: {words!r}"
-    if "velocity" not in (words := refusal(lambda x: pf.fit(recording(), velocity=x), True) or ""):
-        yield f"velocity = True: {words!r}"
-    for number in (True, np.array([1.0, 2.0]), "2"):
-        if "force" not in (words := refusal(lambda x: pf.pluck(modes(), x), number) or ""):
-            yield f"force = {number!r}: {words!r}"
-    two = F3.hammer._replace(M_H=np.array([0.003, 0.004]))
-    if "M_H" not in (words := refusal(lambda x: pf.simulate(F3.string, x, F3.geometry), two) or ""):
-        yield f"two hammers: {words!r}"
+    for word, (call, values) in VALUES.items():
+        for wrong in values:
+            words = refusal(call, wrong)
+            if words is None or word not in words or "\n" in words:
+                yield f"{word} = {wrong!r}: {words!r}"
+    one = pf.NoteOptions(keys=("C5", "C5"), seconds=0.05, rate=np.int64(22_050))  # pyright: ignore[reportArgumentType]
+    if len([*pf.notes(np.int64(1), options=one)]) != 1:  # pyright: ignore[reportArgumentType]
+        yield "a whole number of NumPy is refused"
     for note in ("A4", "69", 69, np.int64(69)):
         if pf.analyse(recording(), note=note).note != "A4":
             yield f"note = {note!r}"

@@ -4,7 +4,7 @@ Each message is one line. It names the file or the argument, its value, and what
 The command line prints the message without a traceback and exits with 1.
 """
 
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 # Whole ends of ranges from here on have commas, up to where a power of ten is easier to read.
@@ -51,7 +51,7 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
 
 def check_type(name: str, value: Any, kinds: Any, expected: str) -> None:
     """Raise a `ParameterError` if `value` is not of these `kinds`. True and False do not count as numbers."""
-    if not isinstance(value, kinds) or (kinds is Real and isinstance(value, bool)):
+    if not isinstance(value, kinds) or (kinds in (Real, Integral) and isinstance(value, bool)):
         raise ParameterError(f"{name}{_short(value)} must be {expected}")
 
 

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from numbers import Real
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from .analysis import Analysis, analyse, check_analyses
@@ -198,7 +198,7 @@ def check_start(
             if not (isinstance(value, Real) and 0 < value < math.inf):
                 raise ParameterError(f"start=: {name}={value!r} must be a positive number in SI units")
     if budget is not None:
-        check_type("budget=", budget, int, "a whole number of steps")
+        check_type("budget=", budget, Integral, "a whole number of steps")
         check_range("budget=", budget, 1, MAX_BUDGET)
         if not starts:
             raise ParameterError(f"budget={budget} needs start=, a guess of the hammer; or leave it out")

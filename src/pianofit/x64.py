@@ -53,6 +53,7 @@ SETTINGS: tuple[tuple[Any, Any], ...] = (
     (jax.threefry_partitionable, True),
     (jax.debug_nans, False),
     (jax.debug_infs, False),
+    (jax.disable_jit, False),
     (jax.transfer_guard, "allow"),
 )
 _now = threading.local()  # `inside`: true while this thread is in the scope

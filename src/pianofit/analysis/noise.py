@@ -15,7 +15,7 @@ FREQUENCIES = 20.0 * 2.0 ** (np.arange(61) / 6)
 # Length of a segment of the silence before the onset, s, and the least length of that silence: two segments. The end of
 # it is left out, s, because a knock begins before the onset.
 SEGMENT, LEAST_SILENCE, GAP = 0.1, 0.2, 0.02
-# Shape of Kaiser's window. Its side lobes lie 100 dB down, so that a partial that rings hides no noise beside it.
+# Shape of Kaiser's window. Its side lobes lie 100 dB down, so that a partial that rings hides no noise next to it.
 BETA = 14.0
 # Width of the running median, Hz. The lowest partials, 27.5 Hz apart, are 9 Hz wide in a second.
 MEDIAN_WIDTH = 150.0

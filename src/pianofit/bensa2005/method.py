@@ -70,6 +70,8 @@ def fit(
     check_arguments((recording,), analyses, velocity, seed, progress)
     _check_method(method, evaluations)
     setup = given_setup(setup, velocity)
+    if not setup.law.has_contact:
+        raise ParameterError(f"method={method!r} fits a struck string, not a {setup.excitation}; leave one of them out")
     setup = replace(setup, felt=setup.felt or HUNT_CROSSLEY.name)
     with progress_bar(progress) as report:
         (sound,), (analysis,) = read_and_analyse((recording,), analyses, channel, note, f0, report)

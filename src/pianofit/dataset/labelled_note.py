@@ -6,6 +6,7 @@ options, so a block has the same sounds in every run.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ def blocks(count: int, options: NoteOptions) -> list[range]:
 
 def check_count(count: int) -> None:
     """Raise a `ParameterError` for an invalid number of notes."""
-    check_type("count=", count, int, "a whole number of notes")
+    check_type("count=", count, Integral, "a whole number of notes")
     check_range("count=", count, 1, MAX_NOTES)
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 from functools import lru_cache
+from numbers import Integral
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from ..errors import AnalysisError, OutputError, ParameterError, check_range, ch
 from ..felt import law_of
 from ..instrument import load_instrument
 from ..instrument.key_quantities import literature_note
-from ..io.files import path_name, printable, read_file
+from ..io.files import path_name, printable, read_file, short_repr
 from ..model.note import Note, check_render
 from ..schema.dataset import NoteOptions
 from ..schema.fit import fit_path
@@ -34,10 +35,12 @@ class Source(NamedTuple):
 def check_options(options: NoteOptions) -> None:
     """Raise a `ParameterError` for an option that is out of range or of the wrong type."""
     check_type("options=", options, NoteOptions, "a NoteOptions")
-    check_type("rate=", options.rate, int, "a whole number of Hz")
+    check_type("rate=", options.rate, Integral, "a whole number of Hz")
     check_render(None, options.seconds, options.rate)
-    check_type("layers=", options.layers, int, "a whole number")
+    check_type("layers=", options.layers, Integral, "a whole number")
     check_range("layers=", options.layers, 1, MAX_LAYERS)
+    if options.keys is not None and not (isinstance(options.keys, tuple | list) and len(options.keys) == 2):
+        raise ParameterError(f"keys={short_repr(options.keys)} must be the lowest and the highest key, ('C4', 'C5')")
     check_range("spread=", options.spread, 0.0, MAX_SPREAD)
     for name in ("path", "modal_response"):
         check_type(f"{name}=", getattr(options, name), bool, "True or False")
@@ -99,15 +102,19 @@ def _literature() -> dict[int, Note]:
     return {midi: literature_note(midi) for midi in range(LOWEST_KEY, HIGHEST_KEY + 1)}
 
 
-@lru_cache(maxsize=1)  # a worker reads it for every block
 def _read(name: str) -> Source:
     """Read the notes of a fit or of an instrument."""
-    path = Path(name)
+    path = Path(name).resolve()
     instrument = path / INSTRUMENT_FILE
     file = instrument if instrument.is_file() else fit_path(path)
     if path.is_dir() and not file.is_file():
         raise OutputError(f"{printable(path)}: has neither a fit.json nor an instrument.json; give such a folder")
-    digest = hashlib.sha256(read_file(file, LARGEST_INSTRUMENT, ParameterError)).hexdigest()
+    return _notes_of(file, hashlib.sha256(read_file(file, LARGEST_INSTRUMENT, ParameterError)).hexdigest())
+
+
+@lru_cache(maxsize=1)  # a worker needs them for every block
+def _notes_of(file: Path, digest: str) -> Source:
+    """Return the notes of a file with this SHA-256."""
     if is_instrument(file, "give one of them"):
         return Source({midi: key.note for midi, key in load_instrument(file).keys.items()}, digest)
     note, _ = load_note(file)

@@ -16,6 +16,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any, get_args
 
@@ -117,7 +118,7 @@ def write_dataset(
     began, options = time.monotonic(), options or NoteOptions()
     check_count(count)
     check_seed(seed)
-    check_type("processes=", processes, int, "a whole number of processes")
+    check_type("processes=", processes, Integral, "a whole number of processes")
     check_range("processes=", processes, 1, MAX_PROCESSES)
     if format not in (formats := get_args(SoundFormat)):
         raise ParameterError(f"format={format!r} must be one of {', '.join(formats)}")

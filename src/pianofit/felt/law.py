@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, check_type
 from ..excitation.hammer import GAIN_DEVIATION, HAMMER_WORDS, NOMINAL, PATH, STRIKE, VELOCITY_OF_STROKE
 from ..excitation.protocol import GEOMETRY_FIELDS, Excitation, StrokeParameter, Words
 from ..parameters import PARAMETERS, STRING_NAMES, Geometry, Parameter, check
@@ -90,7 +90,9 @@ class FeltLaw(Excitation):
             raise ParameterError(
                 f"felt law {self.name!r}: the name must be letters, digits and hyphens, a letter first"
             )
+        check_type(f"felt law {self.name!r}: force=", self.force, Callable, "a function of u, w and the hammer")
         for name, parameter in self.parameters.items():
+            check_type(f"felt law {self.name!r}: {name}=", parameter, Parameter, "a Parameter")
             if not name.isidentifier() or iskeyword(name) or name.startswith("_") or name in RESERVED_NAMES:
                 raise ParameterError(
                     f"felt law {self.name!r}: {name!r} must be a name other than {', '.join(sorted(RESERVED_NAMES))}, "

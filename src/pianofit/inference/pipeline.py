@@ -1,6 +1,7 @@
 """From recordings to the posterior: fit of the string, search, refinement of every minimum, Laplace's approximation."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -42,6 +43,8 @@ ITERATIONS = 25
 STRING_STARTS = tuple(itertools.product((-2.0, -1.0, 0.0), (-1.0, 0.0, 1.0)))
 # and maximum number of steps from each: they compute no contact.
 STRING_STEPS = 100
+# Relative difference of a guess from a fixed value that is rounding.
+SAME_VALUE = 1e-6
 METHODS = ("laplace", "profile", "posterior")
 
 
@@ -261,8 +264,14 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
     for name, value in start.items():
         if name not in indices:
             raise ParameterError(f"start=: this fit has no parameter {name!r}; use {', '.join(indices)}")
-        if u.free[indices[name]] and indices[name] >= STRING_SIZE:
-            logs[indices[name]] = np.log(value)
+        at = indices[name]
+        if not u.free[at] and not math.isclose(value, fixed := u.value(name, logs[at]), rel_tol=SAME_VALUE):
+            raise ParameterError(f"start=: {name}={value:g}, but it is fixed at {fixed:g}; leave it out")
+        low, high = np.exp(u.range(at)).tolist()
+        if u.free[at] and not low <= value <= high:
+            raise ParameterError(f"start=: {name}={value:g} must be within its bounds, {low:g} to {high:g}")
+        if u.free[at] and at >= STRING_SIZE:
+            logs[at] = np.log(value)
     return u.project(u.from_log_values(logs))
 
 

@@ -214,6 +214,8 @@ def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]
     own = given | {"strike_position": setup.strike_position, "pickup": setup.pickup_position}
     assumed = tuple(name for name, value in given.items() if value is None)
     geometry = geometry._replace(**{name: value for name, value in own.items() if value is not None})
+    if setup.strike_width is None and 0 < geometry.strike_position < geometry.length:
+        geometry = geometry.with_window_on_string()
     half, at = 0.5 * geometry.width, geometry.strike_position
     if setup.law.has_contact and not half <= at <= geometry.length - half:
         source = "the literature's" if setup.strike_position is None else "the given"

@@ -113,6 +113,8 @@ def strike(
     >>> f"{pulse.force.max():.1f} N, {pianofit.levels(modes, pulse.drive)[0]:.0f} dB"
     '3.8 N, -21 dB'
     """
+    if "M_H" not in hammer._fields:
+        raise ParameterError(f"hammer={summary(hammer)} has no contact with the string; use simulate")
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     if free is None:

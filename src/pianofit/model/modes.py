@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
@@ -153,6 +154,8 @@ def mode_table(
         raise ParameterError(f"quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
     if kind not in ("continuous", "finite_difference"):
         raise ParameterError(f"kind={kind!r} must be continuous or finite_difference")
+    if not isinstance(rate, Tracer) and not rate > 0:
+        raise ParameterError(f"rate={rate} Hz must be above 0")
     prewarp = kind == "continuous"
     step = jnp.asarray(1.0 / rate)
     beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 import jax
@@ -278,6 +278,7 @@ class Note(NamedTuple):
         g, v, law = self.geometry, np.asarray(value, float), law_of(self.hammer)
         if not (v.size and np.isfinite(v).all() and v.min() > 0):
             raise ParameterError(f"{law.words.stroke}: {value} {law.stroke.unit} must be above 0")
+        check_type("count=", count, Integral, "a whole number of partials")
         check_range("count=", count, 1, MAX_MODES)
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))

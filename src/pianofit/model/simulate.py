@@ -5,16 +5,16 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError, check_range
 from ..excitation import Excitation
 from ..felt import check_hammer, law_of
+from ..io.files import short_repr
 from ..io.number_format import summary
 from ..parameters import Geometry, String, check
 from ..transducer import ON_STRING
-from ..x64 import float64
+from ..x64 import float64, is_numeric
 from .contact import Pulse
 from .excite import excite
 from .free_motion import FreeMotion, free_motion
@@ -170,8 +170,9 @@ def simulate(
     hammer : a `Hammer`, a `SoftHammer`, a `RelaxingHammer`, a hammer of a `FeltLaw`, or a `Pluck`.
     rate : sample rate of the signal, Hz.
     oversampling : contact rate over sample rate; if None as high as the string needs.
-    quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.
-    n_modes : rows of the table; if None all modes below 0.4 of the contact rate.
+    quantity, kind, strike_weights : see `mode_table`.
+    n_modes : rows of the table, for `finite_difference` also the paper's N; if None all modes below 0.4 of the contact
+        rate.
     displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, from `pianofit.model.project`;
         at rest by default.
 
@@ -205,7 +206,10 @@ def simulate(
     rows = n_modes or count_modes(string, geometry, step_rate)
     start = None
     if displacement is not None or velocity is not None:
-        start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
+        start = tuple(
+            np.zeros(rows) if x is None else _checked_coordinates(name, x, rows)
+            for name, x in (("displacement", displacement), ("velocity", velocity))
+        )
     steps = FIRST_STEPS
     while steps <= MAX_STEPS:
         cfg = StrikeConfig(rows, steps, quantity, law_of(hammer), kind)
@@ -215,6 +219,16 @@ def simulate(
             return done
         steps *= 4
     raise endless_contact(hammer, step_rate)
+
+
+def _checked_coordinates(name: str, value: Any, rows: int) -> np.ndarray:
+    """Return modal coordinates of the string [modes]."""
+    array = np.asarray(value)
+    if array.shape != (rows,) or not is_numeric(array) or not np.isfinite(array).all():
+        raise ParameterError(
+            f"{name}={short_repr(value)} must be finite modal coordinates [modes], of shape ({rows},); give n_modes too"
+        )
+    return array.astype(float)
 
 
 def endless_contact(hammer: Any, step_rate: float) -> FitError:
@@ -227,6 +241,10 @@ def endless_contact(hammer: Any, step_rate: float) -> FitError:
 
 def check_stroke(string: String, hammer: Any, geometry: Geometry, quantity: str, rate: float) -> None:
     """Raise a `ParameterError` for a stroke, or a sample rate in Hz, that cannot be simulated."""
+    for part in (string, hammer, geometry):
+        for name, value in zip(part._fields, part, strict=True):
+            if np.ndim(value):
+                raise ParameterError(f"{name}={short_repr(value)} must be one number; give an array to vmap of strike")
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check_hammer(hammer)
     check_geometry(geometry, quantity)

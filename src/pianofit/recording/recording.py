@@ -69,6 +69,7 @@ def load_recordings(recordings: Sequence[Source], channel: str | int = "average"
 
     Raises `RecordingError` for a sound that cannot be used, and `ParameterError` for another type or channel.
     """
+    checked_channel(channel)
     return [to_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
 
 
@@ -151,6 +152,8 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
     """
     check_type("rate=", rate, Real, "a number in Hz, such as 44100")
     array, name = np.asarray(samples), printable(name)
+    if array.dtype.kind not in "iuf":
+        raise RecordingError(f"{name}: {short_repr(samples)} must be samples, an array of numbers")
     if array.ndim != 1:
         raise RecordingError(f"{name}: shape {array.shape} must be [samples]; choose or average the channels first")
     if not np.issubdtype(array.dtype, np.floating):

@@ -105,7 +105,7 @@ class Comparison:
 
     def _drawable(self) -> tuple[StaticLaw, StaticLaw]:
         if self.felts is None:
-            raise FitError(f"{' '.join(self.warnings)} Fit the recordings again to draw the felts".strip())
+            raise FitError(f"{' '.join(self.warnings)} So they have no figure")
         return self.felts
 
     def to_dict(self) -> dict[str, Any]:

@@ -70,7 +70,12 @@ class ModelDraw:
 
     def felt_force(self, compression: float) -> float:
         """Static force of the felt, N, at a compression, m. For hammers only."""
-        return float(law_of(self.note.hammer).force(compression, 0.0, self.note.hammer))
+        law = law_of(self.note.hammer)
+        if not law.has_contact:
+            raise ParameterError(f"felt_force: {law.words.verb} strings have no felt; ask for another quantity")
+        if not (is_number(compression) and compression > 0):
+            raise ParameterError(f"felt_force: compression={compression!r} m must be a number above 0")
+        return float(law.force(compression, 0.0, self.note.hammer))
 
     def local_exponent(self, compression: float) -> float:
         """Exponent of the static force of the felt, d log F/d log u, at a compression, m; p without a skin.
@@ -82,6 +87,8 @@ class ModelDraw:
 
     def t60(self, partial: int) -> float:
         """Time in which a partial falls by 60 dB, s, by the string model, α = b1 + b2 β²."""
+        if not (is_number(partial) and partial >= 1):
+            raise ParameterError(f"t60: partial={partial!r} must be a number from 1")
         string = self.note.string
         alpha = string.b1 + string.b2 * (partial * math.pi / self.note.geometry.length) ** 2
         return float(T60_NEPERS / alpha)

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
+from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
 from .derived import DrawSet, ModelDraw
 from .result import Result
@@ -12,10 +15,10 @@ AT_REFERENCE = ("felt_force", "local_exponent")
 
 
 def with_derived(result: Result) -> Result:
-    """Return a result with its derived quantities, and with the same draws for the interval of the felt force."""
-    fit, draws = result.fit, result.draw_set
-    derived = replace(fit.derived, quantities=derived_quantities(draws))
-    return replace(result, fit=replace(fit, derived=derived, invariants=with_force_interval(draws)))
+    """Return a result with its derived quantities, and with the intervals of a sampler for its invariants."""
+    fit = result.fit
+    derived = replace(fit.derived, quantities=derived_quantities(result.draw_set))
+    return replace(result, fit=replace(fit, derived=derived, invariants=_with_sampled_intervals(result)))
 
 
 def derived_quantities(draws: DrawSet) -> Quantities:
@@ -34,6 +37,8 @@ def derived_quantities(draws: DrawSet) -> Quantities:
 
     def quantity(name: str, unit: str, function: Callable[[ModelDraw], float]) -> Quantity:
         found = draws.evaluate(function)
+        if name == "felt_force" and method == "laplace":
+            found = replace(found, interval=_of_ratio(fit, found.interval))
         note = "; ".join(filter(None, (f"at {u:.3g} mm" * (name in AT_REFERENCE), found.note)))
         own = None if found.interval is None else method
         return Quantity(name, found.value, unit, found.interval, found.status, meaning_of(name), note, None, own)
@@ -53,11 +58,26 @@ def _of_contact(u: float) -> dict[str, tuple[str, Callable[[ModelDraw], float]]]
     }
 
 
-def with_force_interval(draws: DrawSet) -> Quantities:
-    """Return the invariants with the interval of F/M_S from the draws, so that F and F/M_S have one uncertainty."""
-    invariants, u = draws.fit.invariants, 1e-3 * draws.fit.derived.reference_compression_mm
-    own = invariants.get("F/M_S")
-    if own is None or own.interval is None:
-        return invariants
-    found = draws.evaluate(lambda draw: draw.felt_force(u) / draw.values["M_S"])
-    return Quantities({**invariants, "F/M_S": replace(own, interval=found.interval)})
+def _of_ratio(fit: Fit, drawn: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return the interval of the felt force from that of F/M_S, by which its status is decided.
+
+    It is that of the draws if the string mass is uncertain, and without F/M_S.
+    """
+    ratio, mass = fit.invariants.get("F/M_S"), fit.parameters["M_S"]
+    if drawn is None or ratio is None or ratio.interval is None or mass.interval is not None:
+        return drawn
+    low, high = ratio.interval
+    return float(low * mass.value), float(high * mass.value)
+
+
+def _with_sampled_intervals(result: Result) -> Quantities:
+    """Return the invariants, with the interval of a sampler's draws for those that vary in them."""
+    draws, ends = result.draws or {}, (0.025, 0.975)
+
+    def sampled(name: str, own: Quantity) -> Quantity:
+        if name not in draws or own.interval_method == "posterior":
+            return own
+        low, high = np.quantile(draws[name], ends).tolist()
+        return replace(own, interval=(low, high), interval_method="posterior")
+
+    return Quantities({name: sampled(name, own) for name, own in result.fit.invariants.items()})

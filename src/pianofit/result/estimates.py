@@ -153,8 +153,8 @@ def _ratio(
 ) -> Quantity:
     """The parameter `of` over `factor` times a size.
 
-    The interval is that of the other method if there is one and the size is exact. A profile follows one parameter, not
-    a ratio.
+    The interval is that of a profile or a sampler if there is one and the size is exact: a profile follows one
+    parameter, not a ratio. `derived_table` has the intervals of a sampler for uncertain sizes.
     """
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)

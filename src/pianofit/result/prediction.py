@@ -20,7 +20,7 @@ from ..felt import law_of
 from ..inference.observation_tables import pitch_above
 from ..inference.priors import KNOCK_SD, LEVEL, log_gain
 from ..io.files import printable, short_repr
-from ..io.number_format import counted
+from ..io.number_format import counted, is_number
 from ..model.note import Note
 from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
@@ -123,7 +123,7 @@ def predict_recording(
     mixture = [(1.0, notes)] if isinstance(notes, Note) else _mixture(notes)
     if not mixture:
         raise ParameterError("notes=[] is empty; give a note, or notes with their weights")
-    gains, (_, first) = gains or (0.0,), mixture[0]
+    gains, (_, first) = _checked(gains), mixture[0]
     analysis = _same_key_analysis(analysis, first)
     p = analysis.partials
     chosen = audible_partials(p.frequency, p.level) & _detected(first, p.number)
@@ -143,6 +143,14 @@ def predict_recording(
     low, *_, high = scanned_values(first)
     at_limit = not low * LIMIT_RATIO < velocity < high / LIMIT_RATIO
     return Prediction(velocity, gain, cents, error, int(chosen.sum()), level, note, at_limit)
+
+
+def _checked(gains: Any) -> Sequence[float]:
+    """Return the gains of other recordings, dB; 0 if there are none."""
+    levels = [0.0] if gains is None or (isinstance(gains, Sequence | np.ndarray) and len(gains) == 0) else gains
+    if isinstance(levels, str) or not all(map(is_number, np.ravel(np.asarray(levels, object)))):
+        raise ParameterError(f"gains={short_repr(gains)} must be numbers in dB")
+    return [float(level) for level in np.ravel(levels)]
 
 
 def _mixture(notes: Sequence[tuple[float, Note]]) -> list[tuple[float, Note]]:

@@ -1,8 +1,10 @@
 """The identifiability statement: the kind of measurement, and which parameters it determines."""
 
+import math
 from collections.abc import Sequence
 
 from ..inference import InferenceResult
+from ..schema.dependencies import MAX_LOG_SD
 from ..schema.fit import LevelErrors
 from ..transducer import TRANSDUCERS
 from .correlations import StrongCorrelation
@@ -40,6 +42,11 @@ def identifiability_statement(
             f"{text} The fitted velocities differ by a factor of {ratio:.3g} ({low:.3g} to {high:.3g}), those of a "
             f"pianist by at most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not "
             "describe. Do not interpret the felt parameters, the velocities and the hammer mass."
+        )
+    if states.unidentifiable:
+        text += (
+            f" They leave the force of the felt open by more than a factor of {math.exp(MAX_LOG_SD):.0f}. Do not "
+            "interpret the felt parameters and the hammer mass."
         )
     if problem.velocity_scale_open:
         scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))

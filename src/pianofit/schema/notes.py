@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import FitError, ParameterError
+from ..errors import FitError, ParameterError, check_type
 from ..excitation import HAMMER, OTHERS, Excitation
 from ..felt import ALL_PARAMETERS, LAWS, FeltLaw, check_hammer
 from ..io.files import printable, short_repr
@@ -88,6 +88,8 @@ def note_of(record: NoteFile, folder: Path | None, name: str, felt: FeltLaw | No
 
 def law_of_fit(record: NoteFile, name: str, felt: FeltLaw | None = None) -> Excitation:
     """Return the excitation that a file names; a felt law from outside the package must be given as `felt`."""
+    if felt is not None:
+        check_type("felt=", felt, FeltLaw, "a FeltLaw")
     if record.excitation != HAMMER:
         if felt is not None:
             raise FitError(

@@ -2,10 +2,10 @@
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-from ..io.files import replace_file
+from ..errors import check_type
+from ..io.files import as_path, replace_file
 from ..io.number_format import counted, number
 from ..io.table_output import write_csv
 from ..schema.decode import encode_json
@@ -59,7 +59,8 @@ def write_tuning(folder: str | os.PathLike[str], tuning: Tuning) -> None:
     >>> sorted(file.name for file in Path("tuned").iterdir())
     ['tuning.csv', 'tuning.ept', 'tuning.html', 'tuning.json']
     """
-    folder = Path(folder)
+    check_type("tuning=", tuning, Tuning, "a Tuning, as pianofit.tuning returns it")
+    folder = as_path(folder)
     write_csv(folder / TABLE_FILE, *_table(tuning))
     replace_file(folder / EPT_FILE, entropy_piano_tuner_file(tuning))
     replace_file(folder / JSON_FILE, encode_json(tuning))
