@@ -21,6 +21,7 @@ from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
 from ..io.containers import RATES
 from ..io.files import as_path, cleanup_on_interrupt, encode_pcm, printable, write_error
+from ..io.number_format import first_of
 from ..playback.voice import CHANNELS, StringVoice
 from ..threads import numerical_settings
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
@@ -177,21 +178,27 @@ def _check_target(out: Path, force: bool) -> None:
     has_files = out.is_dir() and any(out.iterdir())
     if not out.is_dir() or (has_files and not _is_export(out)):
         raise OutputError(f"{name}: exists and is not an export; choose another --out")
+    if has_files and (others := _other_files(out)):
+        raise OutputError(f"{name}: has files that no export writes, {first_of(others)}; remove them")
     if has_files and not force:
         raise OutputError(f"{name}: the folder is not empty; choose another --out, or replace the export with --force")
 
 
 def _is_export(folder: Path) -> bool:
-    """Return whether a folder contains an export and nothing else: its readme, one text, and samples."""
-    names = {path.name for path in folder.iterdir()} - {"samples"}
-    endings = tuple(sampler.ending for sampler in SAMPLERS.values())
-    if not (folder / "samples").is_dir() or README not in names or len(names) != 2:
+    """Return whether a folder contains an export: its readme and samples."""
+    readme = folder / README
+    if not ((folder / "samples").is_dir() and readme.is_file()):
         return False
-    return (
-        (names - {README}).pop().endswith(endings)
-        and EXPORT_MARK in (folder / README).read_text(encoding="utf-8", errors="replace")
-        and all(SAMPLE.fullmatch(path.name) for path in (folder / "samples").iterdir())
-    )
+    return EXPORT_MARK in readme.read_text(encoding="utf-8", errors="replace")
+
+
+def _other_files(folder: Path) -> list[str]:
+    """Return the names of files in a folder that are not those of an export: readme, one text, and samples."""
+    endings = tuple(sampler.ending for sampler in SAMPLERS.values())
+    names = sorted({path.name for path in folder.iterdir()} - {"samples", README})
+    texts = [name for name in names if name.endswith(endings)]
+    samples = [path.name for path in (folder / "samples").iterdir() if not SAMPLE.fullmatch(path.name)]
+    return [printable(name) for name in [*sorted({*names} - {*texts[:1]}), *samples]]
 
 
 def _write_samples(
