@@ -254,6 +254,20 @@ def test_the_felt_force_and_its_ratio_to_the_mass_have_one_interval():
     assert np.log(force.interval) == pytest.approx(np.log(drawn.interval), abs=0.3 * np.ptp(np.log(force.interval)))
 
 
+def test_draws_stay_within_the_bounds():
+    """Rounding does not carry a value beyond a bound that the posterior reaches."""
+    result = calibrated()
+    cov = result.fit.covariance
+    at = cov.names.index("b1")
+    wide = Covariance(cov.names, cov.matrix + np.outer(np.eye(len(cov.names))[at], np.eye(len(cov.names))[at]))
+    minimum = replace(
+        result.fit.minima[0], parameters=result.fit.minima[0].parameters | {"b1": 100.0}, covariance=wide, weight=1.0
+    )
+    b1 = joint_draws(replace(result.fit, minima=(minimum,)), LAW).values["b1"]
+    assert (b1 == 100.0).mean() > 0.3
+    assert b1.max() == 100.0
+
+
 # --- the reference compression ----------------------------------------------------------------------------------------
 
 

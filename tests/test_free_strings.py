@@ -7,7 +7,7 @@ import pytest
 from instrument_cases import piano_of, rung, true_note
 
 from pianofit.literature import typical_strings
-from pianofit.model.modal_response import PRE_ONSET_S, ForcePulse, VelocityGain
+from pianofit.model.modal_response import PRE_ONSET_S, ForcePulse, VelocityGain, release_pulse
 from pianofit.model.output_path import OutputPath
 from pianofit.playback import PlayOptions, Song, render_song
 from pianofit.playback.cached_strike import string_tables
@@ -155,3 +155,8 @@ def test_what_other_strings_sound_does_not_depend_on_where_in_a_hop_a_key_is_str
 
     first, later = added(0), added(2 * hop // 3)
     assert np.linalg.norm(later - first) < 0.03 * np.linalg.norm(first)
+
+
+@pytest.mark.parametrize(("own", "rate"), [(88_200, 48_000), (96_000, 44_100), (88_200, 44_100), (44_100, 96_000)])
+def test_a_pluck_keeps_its_impulse_at_every_rate(own, rate):
+    assert release_pulse(2.0, 1 / own).at(rate).sum() == pytest.approx(2.0, rel=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ from pianofit.instrument.velocity_curve import fit_velocity_curve, loudest_veloc
 from pianofit.schema.decode import convert
 from pianofit.schema.fit import Fit
 from pianofit.schema.instrument import Layer, VelocityCurve
+from pianofit.schema.quantities import Covariance, Quantities
 
 KEYS = list(range(24, 100, 3))
 ALL = list(range(21, 109))
@@ -337,6 +339,30 @@ def test_the_covariance_of_the_quantities_is_that_of_many_draws():
     tied = np.corrcoef(np.array(rows).T)[NAMES.index("F/M_S"), NAMES.index("local_exponent")]
     row, column = NAMES.index("F/M_S"), NAMES.index("local_exponent")
     assert key.minima[0].covariance[row, column] / (stated[row] * stated[column]) == pytest.approx(tied, abs=0.05)
+
+
+def test_uncertain_sizes_leave_all_other_quantities_as_certain():
+    """The values of a fit scale with an uncertain length and mass, and no ratio that a key hands over does."""
+    note = true_note(60)
+    fit = convert(fit_document(note, ERRORS, (1.0, 2.0)), Fit, "fit.json", "")
+    began = {name: replace(own, initial=1.1 * float(own.value)) for name, own in fit.parameters.items()}
+    fit = replace(fit, parameters=Quantities(began))  # with a prior, which is removed
+    (minimum,), exact = fit.minima, fit.minima[0].covariance
+    assert exact is not None
+    powers = {"L": {"c": 1, "kappa": 2, "b2": 2, "x0": 1, "width": 1}, "M_S": {"K_H": 1, "M_H": 1}}
+    scale = np.array([[float(own.get(name, 0)) for own in powers.values()] for name in exact.names])
+    moved = np.vstack([scale, np.eye(2)]) @ np.diag([0.01, 0.03])
+    matrix = np.pad(exact.matrix, (0, 2)) + moved @ moved.T
+    wider = replace(minimum, covariance=Covariance((*exact.names, *powers), matrix))
+    certain, uncertain = (
+        measurements_of(replace(fit, minima=(one,)), note, 60, 0.0).minima[0] for one in (minimum, wider)
+    )
+    others = [i for i, name in enumerate(NAMES) if name not in ("L", "M_S/L", "pickup/L")]
+    assert uncertain.mean[others] == pytest.approx(certain.mean[others], abs=1e-6)
+    sd = np.sqrt(np.diag(certain.covariance))
+    difference = (uncertain.covariance - certain.covariance) / np.outer(sd, sd)
+    assert np.abs(difference[np.ix_(others, others)]).max() < 1e-3
+    assert math.sqrt(uncertain.covariance[NAMES.index("L"), NAMES.index("L")]) == pytest.approx(0.01, rel=0.01)
 
 
 def test_values_become_parameters_and_back():

@@ -13,7 +13,7 @@ import pianofit
 from pianofit.analysis.measure_knock import measure_knock
 from pianofit.dsp.knock_band import centre, nodes
 from pianofit.inference import build_problem, priors
-from pianofit.inference.batched_model import LevelModel
+from pianofit.inference.batched_model import LevelModel, level_slopes
 from pianofit.inference.observation_tables import KNOCK, RecordingStructure, observe
 from pianofit.model import mode_table, strike
 from pianofit.model.contact import strike_final_state
@@ -168,3 +168,17 @@ def test_a_prediction_uses_the_knock():
             away[used].append(np.log(predict_recording(note, own, gains=(0.0, 15.0, -9.0)).velocity / velocity))
     assert np.abs(away[True]).max() < 0.35
     assert np.sqrt(np.mean(np.square(away[True]))) < np.sqrt(np.mean(np.square(away[False])))
+
+
+def test_an_uncertain_pickup_moves_the_partials_and_not_the_knock():
+    sounds = [recording(84, velocity) for velocity in (1.0, 3.0)]
+    analyses = [pianofit.analyse(sound, note="C6") for sound in sounds]
+    length = pianofit.typical(84).geometry.length
+    place = pianofit.Measured(0.3 * length, sd=0.003 * length)
+    setup = pianofit.Setup(length=length, pickup_quantity="magnetic-pickup", pickup_position=place)
+    problem = build_problem(sounds, analyses, setup)
+    slopes = level_slopes(problem)
+    is_knock = problem.observed.number == KNOCK
+    assert is_knock.sum() == 1
+    assert (slopes[:, is_knock] == 0).all()
+    assert (slopes[:, ~is_knock] != 0).any(axis=1).all()

@@ -214,3 +214,14 @@ def test_one_real_pluck_has_one_pitch_at_microphone_and_pickup():
     for result in results.values():
         assert result.parameters.width.status == "not-identifiable"
         assert result.fit.converged
+
+
+def test_a_pluck_of_a_displaced_string_has_the_energy_of_both_together():
+    it, n = pianofit.preset("bensa-final"), 64
+    shape = np.eye(n)[0] * 1e-3
+    done = pianofit.simulate(it.string, pianofit.Pluck(1.0), it.geometry, n_modes=n, displacement=shape)
+    modes, q = done.modes, done.free.amplitude.real
+    alone = pianofit.simulate(it.string, pianofit.Pluck(1.0), it.geometry, n_modes=n).free.amplitude.real
+    assert q == pytest.approx(alone + shape, abs=1e-12)
+    energy = 0.5 * np.sum(modes.strike / modes.modal_gain * modes.omega2 * q**2, where=modes.modal_gain > 0)
+    assert done.free.energy == pytest.approx(energy, rel=0.01)  # the losses add 0.3 %

@@ -34,7 +34,7 @@ from pianofit.parameters import String
 from pianofit.schema.tuning import TunedKey, Tuning
 from pianofit.tuner.curves import OCTAVE_TYPES, tuning_curve
 from pianofit.tuner.save import write_tuning
-from pianofit.tuner.tuning import CHOSEN, KEYS, Recorded, posterior_of, tuning_of
+from pianofit.tuner.tuning import CHOSEN, KEYS, Recorded, _unison, posterior_of, tuning_of
 
 A4 = 69 - 21
 RECORDED = (24, 33, 41, 48, 55, 60, 67, 76, 88, 100)
@@ -289,6 +289,36 @@ def test_beats_are_the_split_of_the_modes(cents, is_wide):
     assert key.unison_cents is not None
     assert key.unison_cents.value == pytest.approx(cents, rel=0.01)
     assert found.wide_unisons == (("C4",) if is_wide else ())
+
+
+def test_few_partials_determine_no_interval_of_their_median():
+    response = beating(5.0)
+    few = response.partial <= 5
+    response = response._replace(
+        partial=response.partial[few], pole=response.pole[few], pole_error=response.pole_error[few],
+        pattern=response.pattern[:, few],
+    )  # fmt: skip
+    found, key = tuning_with(response)
+    assert len(key.beats) == 5
+    assert key.unison_cents is None
+    assert found.wide_unisons == ()
+
+
+@pytest.mark.parametrize("count", [6, 8, 11, 16])
+def test_the_interval_of_a_unison_holds_its_median(count):
+    """Order statistics cover the median of any distribution."""
+    random, held = np.random.default_rng(count), 0
+    response = rung(66, count).modal_response
+    assert response is not None
+    pole = -0.4 + 1j * np.imag(response.pole)
+    for _ in range(200):
+        cents = 4 * np.exp(0.5 * random.normal(size=count))  # its median is 4
+        pole[1::2] = -0.4 + 1j * np.imag(pole[::2]) * 2 ** (cents / 1200)
+        pattern = np.repeat(response.pattern[:, ::2], 2, axis=1)
+        beats = response._replace(pole=pole, pattern=pattern, pole_error=np.full(len(pole), 1e-6), velocity_gain=None)
+        interval = _unison(60, beats)["unison_cents"].interval
+        held += interval[0] <= 4 <= interval[1]
+    assert held >= 182  # 95 % less two standard errors
 
 
 def test_a_few_partials_that_beat_are_not_a_mistuned_unison():

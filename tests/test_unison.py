@@ -68,3 +68,9 @@ def test_two_strings_and_three_of_which_two_are_in_tune_sound_alike():
     s[3] = shape(matrices(p, g, three[None], FREQUENCY), about)
     np.testing.assert_allclose(s[3], s[2], atol=1e-4)
     assert np.abs(s[2] - shape(matrices(P - 2 * G, 0 * G, np.zeros((1, 1)), FREQUENCY), about)).max() > 0.02
+
+
+def test_the_gain_of_a_window_is_continuous_on_the_unit_circle():
+    s = 2 * np.pi * np.exp(1j * np.linspace(0, 2 * np.pi, 33))  # |u| = 1 for a window of 1 s
+    assert hann_gain(s, 1.0) == pytest.approx(hann_gain(s * (1 + 1e-4), 1.0), rel=1e-3)
+    assert hann_gain(np.array([2j * np.pi]), 1.0) == pytest.approx(0.5)

@@ -8,6 +8,7 @@ its mean.
 
 import numpy as np
 
+from ..dsp.bands import BETA
 from ..recording.recording import Recording
 
 # Frequencies of the density, Hz: six an octave over the audible range.
@@ -15,8 +16,6 @@ FREQUENCIES = 20.0 * 2.0 ** (np.arange(61) / 6)
 # Length of a segment of the silence before the onset, s, and the least length of that silence: two segments. The end of
 # it is left out, s, because a knock begins before the onset.
 SEGMENT, LEAST_SILENCE, GAP = 0.1, 0.2, 0.02
-# Shape of Kaiser's window. Its side lobes lie 100 dB down, so that a partial that rings hides no noise next to it.
-BETA = 14.0
 # Width of the running median, Hz. The lowest partials, 27.5 Hz apart, are 9 Hz wide in a second.
 MEDIAN_WIDTH = 150.0
 
@@ -33,7 +32,7 @@ def noise_density(recording: Recording) -> np.ndarray:
         silence = _quietest_second(recording.frames, rate)
         length = silence.shape[-1]  # one segment, in which the partials that ring are narrow
     starts = range(0, silence.shape[-1] - length + 1, max(length // 4, 1))
-    window = np.kaiser(length, BETA)
+    window = np.kaiser(length, BETA)  # so that a partial that rings hides no noise next to it
     segments = np.stack([silence[:, start : start + length] * window for start in starts])
     power = 2 * np.abs(np.fft.rfft(segments)) ** 2 / (rate * (window @ window))
     return np.array([_density(row, rate / length) for row in np.median(power, axis=0) / np.log(2)])

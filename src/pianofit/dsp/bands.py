@@ -36,7 +36,7 @@ def hann_gain(s: np.ndarray, seconds: float) -> NDArray[np.complex128]:
     """G(s) = sinc(u) / (1 − u²), u = sT/2πj, of a Hann window of length T = `seconds` at `s`, 1/s."""
     u = s * seconds / (2j * np.pi)
     with np.errstate(all="ignore"):
-        return np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
+        return np.where(np.abs(u * u - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
 
 
 @dataclass(frozen=True)

@@ -267,7 +267,9 @@ def level_slopes(problem: FitProblem) -> np.ndarray:
     if TRANSDUCERS[start.quantity].on_string and "pickup" not in u.names:  # else it is an entry of the model
         phase = problem.observed.number * np.pi * start.geometry.pickup / start.geometry.length
         spread = phase * np.hypot(start.relative_sd.get("pickup", 0.0), start.relative_sd.get("L", 0.0))
-        slope = DB * phase * np.sin(phase) * np.cos(phase) / (np.sin(phase) ** 2 + spread**2)
+        # The attack, number 0, passes the pickup as no partial does: its share is not counted.
+        size = np.where(phase > 0, np.sin(phase) ** 2 + spread**2, 1.0)
+        slope = DB * phase * np.sin(phase) * np.cos(phase) / size
         slopes |= {"pickup": slope, "L": -slope}
     return np.array([slopes[name] for name in u.sizes]).reshape(len(u.sizes), count)
 

@@ -41,6 +41,19 @@ from .keyboard_posterior import KeyMeasurements, Measurement
 NEEDED_OF_HAMMER = frozenset(("K_H", "mu", "p", "M_H"))
 # Factor on the standard deviations of a fit that did not converge.
 NONCONVERGED_FACTOR = 2.0
+# Exponents of uncertain sizes. The values of a fit scale with them, and so no quantity but L and M_S/L does.
+SIZES = {
+    "cents": {"L": -CENTS},
+    "B": {"L": -2.0},
+    "d2": {"L": -2.0},
+    "M_H/M_S": {"M_S": -1.0},
+    "F/M_S": {"M_S": -1.0},
+    "x0/L": {"L": -1.0},
+    "width/L": {"L": -1.0},
+    "pickup/L": {"L": -1.0},
+    "L": {"L": 1.0},
+    "M_S/L": {"M_S": 1.0, "L": -1.0},
+}
 # Change of log velocity over which the slope of the level is taken.
 LEVEL_STEP = 0.1
 # A variance below this is that of a given value.
@@ -182,7 +195,8 @@ def _exponents(names: tuple[str, ...], note: Note, midi: int, scale: float) -> n
     quantities = law_quantities(law_of(note.hammer))
     if law_of(note.hammer).key_quantities:
         rows |= _felt_exponents(note, midi, scale)
-    return np.array([[rows.get(quantity, {}).get(name, 0.0) for name in names] for quantity in quantities])
+    rows = {quantity: {**rows.get(quantity, {}), **SIZES.get(quantity, {})} for quantity in quantities}
+    return np.array([[own.get(name, 0.0) for name in names] for own in rows.values()])
 
 
 def _felt_exponents(note: Note, midi: int, scale: float) -> dict[str, dict[str, float]]:

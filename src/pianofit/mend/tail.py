@@ -252,8 +252,9 @@ def _with_decay(pole: np.ndarray, signals: Signals, b: Bands) -> tuple[np.ndarra
     log_factor = np.log(np.geomspace(*DECAY_FACTORS))
     poles = pole + np.real(pole) * np.expm1(log_factor)[:, None]
     error, amplitude = _errors(poles, signals)
-    independent = signals.values.size * signals.step / b.window  # samples of the band
-    best = np.argmin(independent * np.log(error) + (log_factor / DECAY_SD) ** 2)
+    # Twice the negative log posterior of complex samples, of which the band has `noise_width` a second.
+    independent = signals.values.size * signals.step * b.noise_width
+    best = np.argmin(2 * independent * np.log(error) + (log_factor / DECAY_SD) ** 2)
     return poles[best], amplitude[best]
 
 

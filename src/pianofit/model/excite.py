@@ -34,8 +34,8 @@ def excite(modes: Modes, hammer: Any, law: Excitation, *, steps: int, free: Free
         return strike(modes, hammer, steps=steps, free=free), free
     released = release(modes, hammer, law)
     if free is not None:
-        sums = (a + b for a, b in zip(released, free, strict=True))
-        released = FreeMotion(*sums)
+        total = released.amplitude + free.amplitude
+        released = free_motion(modes, total.real, (modes.free_rate * total).real)
     return no_contact(BLOCK), released
 
 

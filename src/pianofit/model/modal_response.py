@@ -74,6 +74,8 @@ class ForcePulse(NamedTuple):
             step = 1 / (INTERPOLATION_STEPS * rate)
             fine = np.arange(0, len(self.force) * self.step, step)
             newton = np.interp(fine, self.step * np.arange(len(self.force)), self.force)
+            # Interpolation changes the area of a pulse of one step, as of a pluck.
+            newton *= self.force.sum() * self.step / (newton.sum() * step) if newton.sum() else 1.0
             return ForcePulse(newton, step, self.velocity).at(rate)
         edge = FILTER_REACH * ratio
         return resample(np.pad(self.force, (edge, edge)), ratio, 1) / rate
@@ -272,7 +274,9 @@ class PartialDecay(NamedTuple):
     modes: int  # number of its modes
     early: float  # T60 of its energy over `EARLY`, s; NaN where its modes' errors exceed the decay
     late: float  # the same over `LATE`, s
-    beat_frequency: float  # of the two modes that interfere most, Hz; NaN if none beat by 1.5 dB within `LATE`
+    beat_frequency: (
+        float  # of the two modes that interfere most, Hz; NaN if none beat by 1.5 dB up to the end of `LATE`
+    )
     beat_depth: float  # from the lowest to the highest effect of interference, dB; NaN without beats
     error: tuple[float, float]  # smallest and largest standard error of its poles (real or imaginary part), 1/s
 

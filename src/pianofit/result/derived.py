@@ -28,6 +28,7 @@ from ..io.number_format import format_with_interval, is_number
 from ..model import Simulation
 from ..model.note import Note
 from ..model.strokes import BATCH_SIZE, simulations, strokes, strokes_arguments
+from ..parameters import PARAMETERS
 from ..schema.dependencies import combined_status
 from ..schema.fit import Fit
 from ..schema.quantities import Status
@@ -187,12 +188,12 @@ class DrawSet:
         return [one if one.pulse.contact_ended else note.strike(own_rate) for one, note in pairs]
 
     def _note(self, values: Mapping[str, float]) -> Note:
-        """Return the best note with other values of its parameters, the felt inside its ranges.
+        """Return the best note with other values of its parameters, inside their ranges.
 
         Probes and another scale of the velocities can leave the ranges.
         """
-        boxes, note, g = self.law.parameters.items(), self.best, self.best.geometry
-        ranged = {**values, **{name: min(max(values[name], box.lower), box.upper) for name, box in boxes}}
+        boxes, note, g = {**PARAMETERS, **self.law.parameters}, self.best, self.best.geometry
+        ranged = {**values, **{n: min(max(values[n], x.lower), x.upper) for n, x in boxes.items() if n in values}}
         width = values.get("width", g.width)
         # The contact window stays on the string.
         strike = min(max(values["x0"], width / 2), values["L"] - width / 2)
@@ -200,7 +201,7 @@ class DrawSet:
         pickup = values.get("pickup", g.pickup) if is_entry else g.pickup * values["L"] / g.length
         sizes = {"length": values["L"], "mass": values["M_S"], "strike_position": strike, "width": width}
         return note._replace(
-            string=note.string._replace(**{name: values[name] for name in note.string._fields}),
+            string=note.string._replace(**{name: ranged[name] for name in note.string._fields}),
             hammer=note.hammer._replace(**{name: ranged[name] for name in note.hammer._fields if name in ranged}),
             geometry=g._replace(**sizes, pickup=pickup),
         )

@@ -103,7 +103,7 @@ def joint_draws(fit: Fit, law: Excitation, sampled: Mapping[str, np.ndarray] | N
     standard, log = ndtri(points[:, 1:]), np.zeros((len(points), len(names)))
     for i, minimum in enumerate(fit.minima):
         log[which == i] = _gaussian(fit, law, minimum, standard[which == i])
-    values = {name: np.exp(x) for name, x in _within_bounds(fit, law, dict(zip(names, log.T, strict=True))).items()}
+    values = _within_bounds(fit, law, dict(zip(names, log.T, strict=True)))
     free = int((np.diag(fit.covariance.matrix) > 0).sum())
     return JointDraws(fixed | values, Mixture(standard[:, :free], which, weight))
 
@@ -154,16 +154,16 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 
 def _within_bounds(fit: Fit, law: Excitation, log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the logarithms, moved to the nearest bound of the search where they exceed it.
+    """Return the values of logarithms, moved to the nearest bound of the search where they exceed it.
 
     A search bound that the posterior reaches is an end of the interval in the fit.
     """
     ranges, clipped = ALL_PARAMETERS | law.hammer_parameters, {}
     for name, values in log.items():
         own, box = fit.parameters.get(name), ranges.get(name.partition(" ")[0])
-        low, high = (-np.inf, np.inf) if box is None else np.log([box.lower, box.upper])
+        low, high = (0.0, np.inf) if box is None else (box.lower, box.upper)
         if own is not None and own.interval is not None:
-            low = np.log(own.interval[0]) if "low" in own.interval_unbounded else low
-            high = np.log(own.interval[1]) if "high" in own.interval_unbounded else high
-        clipped[name] = np.clip(values, low, high)
+            low = own.interval[0] if "low" in own.interval_unbounded else low
+            high = own.interval[1] if "high" in own.interval_unbounded else high
+        clipped[name] = np.clip(np.exp(values), low, high)
     return clipped

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import bdtr
 
 from ..analysis.note_names import midi_to_note
 from ..conversions import A4, CENTS, HALF_WIDTH_95, HIGHEST_KEY, LOWEST_KEY, hertz_of
@@ -194,17 +195,20 @@ def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
 
     A mistuned unison splits all partials by the same number of cents. So the split is the median over all partials in
     which the preferred split would be a measurable beat. A partial that does not beat counts as 0 cents. The interval
-    is that of a median, from the order of the partials. A key with one string has no unison.
+    is that of a median, from the order of the ends of the partials' own intervals. Fewer than six partials determine
+    none of 95 %, and a key with one string has no unison.
     """
     decays = [] if response is None or round(typical_strings(midi)) < 2 else decays_and_beats(response)
     chosen = [partial for partial in decays if partial.frequency >= SLOWEST_BEAT / PREFERRED_RATIO]
     beats = tuple(_beat(partial) for partial in chosen if not math.isnan(partial.beat_frequency))
-    if not chosen:
+    cents = [beat.cents for beat in beats] + [IntervalValue(0.0, (0.0, 0.0))] * (len(chosen) - len(beats))
+    # The median of all partials lies below the lowest `rank` of these with a probability of 2.5 % at most.
+    rank = int((bdtr(np.arange(len(cents)), len(cents), 0.5) <= ENDS[0] / 100).sum())
+    if not rank:
         return {"beats": beats}
-    cents = sorted([0.0] * (len(chosen) - len(beats)) + [beat.cents.value for beat in beats])
-    half, middle = HALF_WIDTH_95 * math.sqrt(len(cents)) / 2, len(cents) / 2
-    low, high = cents[max(math.floor(middle - half), 0)], cents[min(math.ceil(middle + half), len(cents)) - 1]
-    return {"beats": beats, "unison_cents": IntervalValue(float(np.median(cents)), (low, high))}
+    lows, highs = (sorted(it.interval[end] for it in cents) for end in (0, 1))
+    median = float(np.median([it.value for it in cents]))
+    return {"beats": beats, "unison_cents": IntervalValue(median, (lows[rank - 1], highs[-rank]))}
 
 
 def _beat(partial: PartialDecay) -> PartialBeat:
