@@ -101,6 +101,15 @@ def test_an_entry_that_cannot_be_read_has_its_key_fitted_anew(run, tmp_path, con
     assert status(tmp_path / "out").counts == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
 
 
+def test_a_failed_key_that_left_the_library_leaves_the_ledger(run, tmp_path):
+    jobs = library(tmp_path / "in", ["one", "refuse is silent"])
+    run(jobs, tmp_path / "out")
+    assert status(tmp_path / "out").counts["failed"] == 1
+    run(jobs[:1], tmp_path / "out")
+    assert status(tmp_path / "out").counts == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
+    assert "As0" not in (tmp_path / "out/keys.csv").read_text()
+
+
 def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(run, tmp_path):
     """The folder is written before its entry, so the folder decides."""
     jobs = library(tmp_path / "in", ["refuse is silent"])

@@ -94,7 +94,6 @@ def test_a_poor_guess_is_one_start_of_many_without_a_budget():
         ({"start": {"K_H": "stiff"}}, "K_H"),
         ({"start": {"tension": 700.0}}, "tension"),
         ({"start": {"p": 9.0}}, "p=9 must be within its bounds, 1 to 5"),
-        ({"start": {"M_S": 2.0}}, "M_S"),
         ({"start": 3.0}, "start"),
         ({"budget": 5}, "budget"),
         ({"start": {"p": 2.5}, "budget": 0}, "budget"),

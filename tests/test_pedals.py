@@ -73,7 +73,8 @@ def test_what_no_recording_contains_is_added(model):
     piano = piano_of({key: note._replace(modal_response=None) if model else note for key, note in notes.items()})
     song = Song({48: [(0.0, 100), (0.8, 0)]}, (), 1.0, 1)
     dry, whole = (render_song(piano, song, RATE, options=o).samples for o in (DRY, PlayOptions()))
-    assert bool(np.abs(whole - dry).max()) == model
+    size = min(whole.shape[-1], dry.shape[-1])  # what sings along can last longer
+    assert bool(np.abs(whole[:, :size] - dry[:, :size]).max()) == model
 
 
 def test_the_pedal_frees_all_strings():

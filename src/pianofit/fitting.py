@@ -60,7 +60,7 @@ def fit(
     start : guess of hammer and contact, by name in SI units, or several guesses, such as those of a neural network. The
         search starts from them too. The strokes of several recordings are `v_H0 1`, `v_H0 2` and so on, except the
         reference stroke, which is `v_H0`. Missing names have their initial values. Values of the string are not used,
-        because the partials determine it before.
+        because the partials determine it before, and neither are values that the setup fixes.
     budget : largest number of steps of each minimisation. The search then starts from the guesses only, which takes a
         fraction of the time, and finds the nearest minimum instead of all minima.
 

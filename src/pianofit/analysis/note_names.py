@@ -59,7 +59,7 @@ def cents_above(frequency: float, reference: float) -> float:
 def nearest_note(frequency: float) -> str:
     """The note nearest to `frequency` (Hz) and the distance from it: "F#2 -4 cents"."""
     name = hz_to_note(frequency)
-    return f"{name} {cents_above(frequency, note_to_hz(name)):+.0f} cents"
+    return f"{name} {cents_above(frequency, note_to_hz(name)):+z.0f} cents"
 
 
 def midi_to_note(midi: int) -> str:

@@ -139,7 +139,7 @@ def _stroke(samples: np.ndarray, mono: np.ndarray, rate: int, onset: int, end: i
     if end - onset < LASTS * rate:
         doubt = doubt or f"lasts {(end - onset) / rate:.2f} s"
     elif abs(cents) > NEAR_KEY:
-        doubt = doubt or f"{cents:+.0f} cents from {note}"
+        doubt = doubt or f"{cents:+z.0f} cents from {note}"
     return Stroke(onset, end, note, cents, float(loudness), doubt)
 
 

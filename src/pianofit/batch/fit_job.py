@@ -253,5 +253,5 @@ def _wrong_note(note: str, f0: float) -> str:
     cents = cents_above(f0, nominal)
     if abs(cents) <= PITCH_TOLERANCE:
         return ""
-    sounds = f"the string sounds at {f0:.1f} Hz, {cents:+.0f} cents from it: {hz_to_note(f0)}"
+    sounds = f"the string sounds at {f0:.1f} Hz, {cents:+z.0f} cents from it: {hz_to_note(f0)}"
     return f"note {note} is {nominal:.1f} Hz, but {sounds}"

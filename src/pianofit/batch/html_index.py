@@ -136,7 +136,7 @@ def _recording_and_fit(store: Store, entry: Entry, fit: Fit | None, seconds: flo
     if recording.sha256 != fit.reference.sha256 or fitted.rate != recording.rate:
         return []
     sounds, rate = {"original": recording.samples, "fitted": fitted.samples}, recording.rate
-    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
+    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE, of=entry.key)
 
 
 def _table_rows(entries: Sequence[Entry], fits: Mapping[str, Fit | None]) -> Iterator[dict[str, Any]]:

@@ -115,7 +115,9 @@ class ProcessPool:
             limit = self._limit + (0.0 if worker.taken else LONGEST_START)
             if outcome is None and time.monotonic() - worker.since > limit:
                 self._retire(worker, 0.0)
-                reason = f"took more than {self._limit:g} s and was stopped; increase --time-limit"
+                reason = (
+                    f"took more than {self._limit:g} s and was stopped; increase --time-limit, and add --retry-failed"
+                )
                 outcome = JobResult({}, reason, seconds=self._limit)
             if job is not None and outcome is not None:
                 worker.job = None

@@ -187,6 +187,10 @@ class Store:
         names = self.finished() | {file.stem for file in self.ledger.glob("*.json")}
         return [entry for key in sorted(names) if (entry := self.entry(key)) is not None]
 
+    def forget(self, key: str) -> None:
+        """Remove the ledger entry of a key that is not in the library any more."""
+        (self.ledger / f"{key}.json").unlink(missing_ok=True)
+
     def write(self, entry: Entry) -> None:
         """Replace the ledger entry of a key, or remove it if the key is done.
 

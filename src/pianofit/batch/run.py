@@ -119,7 +119,12 @@ class _Batch:
         self.seconds: list[float] = []
 
     def reconcile(self, retry_failed: bool) -> None:
-        """Make the ledger agree with the folders, and queue the jobs that are to do."""
+        """Make the ledger agree with the folders and the jobs, and queue the jobs that are to do."""
+        asked = {job.key for job in self.jobs}
+        for entry in self.store.entries():
+            if entry.key not in asked and entry.state != "done":
+                self.store.forget(entry.key)
+                self.index.changed()
         for job in self.jobs:
             plan, entry = _plan(job, self.store, retry_failed)
             self._set(entry)

@@ -122,7 +122,7 @@ def _sampler_summary(summary: ExportSummary, added: list[int]) -> str:
         f"{summary.transposed} transposed from them\n"
         f"{more}{silent if summary.silent_keys else ''}"
         f"{counted(summary.samples, 'sample')}, {summary.seconds:.0f} s, {summary.bytes / 1e6:.1f} MB, "
-        f"a common gain of {summary.gain_db:+.1f} dB\n"
+        f"a common gain of {summary.gain_db:+z.1f} dB\n"
     )
 
 
@@ -131,7 +131,7 @@ def _faust_summary(summary: FaustSummary) -> str:
     return (
         f"{counted(summary.keys, 'key')} with tables, {_count_guesses(summary.unrecorded)}\n"
         f"{summary.modes} resonators for each voice, {counted(summary.omitted_modes, 'mode')} left out, {knocks}, "
-        f"{summary.table_entries} numbers, a common gain of {summary.gain_db:+.1f} dB\n"
+        f"{summary.table_entries} numbers, a common gain of {summary.gain_db:+z.1f} dB\n"
     )
 
 

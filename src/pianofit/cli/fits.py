@@ -199,7 +199,7 @@ def predict(
     was_fitted = sound.sha256 in {row.sha256 for row in fitted.fit.recordings}
     end = f", at the limit of the searched range: {p.stroke.name} could not be determined" if p.at_search_limit else ""
     words = (
-        f"{p.error_db:.2f} dB over {counted(p.partials, 'partial')}, {p.pitch_offset_cents:+.2f} cents from the fit, "
+        f"{p.error_db:.2f} dB over {counted(p.partials, 'partial')}, {p.pitch_offset_cents:+z.2f} cents from the fit, "
         f"at {p.stroke.name} = {p.stroke_value:.3g} {p.stroke.unit}{end}\n"
     )
     if was_fitted:

@@ -40,7 +40,7 @@ def cut(
         listed = cut_recording(recording, out, pattern, force=force, progress=bar)
     lines = [HEADER]
     for stroke in listed:
-        cents = "" if stroke.cents is None else f"{stroke.cents:+.0f}"
+        cents = "" if stroke.cents is None else f"{stroke.cents:+z.0f}"
         times = f"{stroke.start_s:>10.3f}{stroke.end_s - stroke.start_s:>10.2f}"
         measured = f"{stroke.note:5}{cents:>7}{stroke.loudness_db:>7.1f}"
         lines.append(f"{stroke.number:>4}{times}  {measured}  {stroke.file or stroke.doubt}")

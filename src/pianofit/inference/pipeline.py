@@ -1,7 +1,6 @@
 """From recordings to the posterior: fit of the string, search, refinement of every minimum, Laplace's approximation."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -43,8 +42,6 @@ ITERATIONS = 25
 STRING_STARTS = tuple(itertools.product((-2.0, -1.0, 0.0), (-1.0, 0.0, 1.0)))
 # and maximum number of steps from each: they compute no contact.
 STRING_STEPS = 100
-# Relative difference of a guess from a fixed value that is rounding.
-SAME_VALUE = 1e-6
 METHODS = ("laplace", "profile", "posterior")
 
 
@@ -257,7 +254,7 @@ def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
 def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, float]) -> np.ndarray:
     """θ [size] of given values by name, and of `first` for all others, inside the bounds.
 
-    The string stays that of `first`: the frequencies and decays of the partials determine it better.
+    Fixed values stay, and so does the string: the frequencies and decays of the partials determine it better.
     """
     u, indices = problem.parametrisation, problem.parameter_indices
     logs = u.log_values(first)
@@ -265,8 +262,6 @@ def starting_point(problem: FitProblem, first: np.ndarray, start: Mapping[str, f
         if name not in indices:
             raise ParameterError(f"start=: this fit has no parameter {name!r}; use {', '.join(indices)}")
         at = indices[name]
-        if not u.free[at] and not math.isclose(value, fixed := u.value(name, logs[at]), rel_tol=SAME_VALUE):
-            raise ParameterError(f"start=: {name}={value:g}, but it is fixed at {fixed:g}; leave it out")
         low, high = np.exp(u.range(at)).tolist()
         if u.free[at] and not low <= value <= high:
             raise ParameterError(f"start=: {name}={value:g} must be within its bounds, {low:g} to {high:g}")

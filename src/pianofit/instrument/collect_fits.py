@@ -335,7 +335,7 @@ def _midi(note: Note, file: Path) -> int:
     _, named = _names_of(file)
     midi = named if named is not None and abs(named - pitch) < LARGEST_MISTUNING else round(pitch)
     if not LOWEST_KEY <= midi <= HIGHEST_KEY:
-        raise FitError(f"{printable(file)}: f0 is {pitch - 69:+.1f} semitones from A4, beyond a piano's A0 to C8")
+        raise FitError(f"{printable(file)}: f0 is {pitch - 69:+z.1f} semitones from A4, beyond a piano's A0 to C8")
     return midi
 
 

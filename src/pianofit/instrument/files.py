@@ -26,6 +26,7 @@ from ..schema.instrument import (
     read_instrument_file,
 )
 from ..schema.modal_response import ModalResponseEntry
+from ..threads import numerical_settings
 from .build import build_instrument
 from .collect_fits import find_fits, instrument_name, instrument_title, load_extras, load_keys
 from .guessed_responses import missing_laws, with_guessed_responses
@@ -33,6 +34,7 @@ from .instrument import Instrument, Key
 from .release_noise import ReleaseNoise, release_entries
 
 
+@numerical_settings()
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None, even: float = 0.0) -> Instrument:
     """Load an instrument from a file, or from a folder with an `instrument.json` or with fits.
 

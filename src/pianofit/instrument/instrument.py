@@ -195,7 +195,7 @@ class Instrument:
         dampers = f"dampers: {low:.0f} to {high:.0f} dB/s at the fundamental, from: {measured or self.dampers.source}"
         release = counted(len(self.release.sounds), "key") if self.release else "none"
         noise = f"{self.noise.level_db:.0f} dB re full scale" if self.noise else "none"
-        bridge = f"\n{self._bridge}" * self.resonates
+        bridge = f"; {self._bridge}" * self.resonates
         return f"{dampers}; release noise: {release} recorded; noise floor: {noise}{bridge}"
 
     @property

@@ -96,7 +96,8 @@ def _columns(instrument: Instrument) -> dict[str, Cell]:
 
 
 def _row(midi: int, key: Key, instrument: Instrument) -> dict[str, Any]:
-    moved = [f"{name} {x.own_fit.z:+.1f}" for name, x in key.values.items() if x.own_fit and abs(x.own_fit.z) > NAMED_Z]
+    fits = {name: x.own_fit for name, x in key.values.items()}
+    moved = [f"{name} {own.z:+z.1f}" for name, own in fits.items() if own and abs(own.z) > NAMED_Z]
     return {
         "note": midi_to_note(midi),
         "state": key.state,

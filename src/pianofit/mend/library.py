@@ -279,7 +279,7 @@ def _mend(
             reason = found
         else:
             sound = lengthen(sound, rate, onset, options.tails, found)
-            joint, over = (found.joint - onset) / rate, f"{found.step_db:+.2f} dB, {found.slope_db:+.2f} dB/s"
+            joint, over = (found.joint - onset) / rate, f"{found.step_db:+z.2f} dB, {found.slope_db:+z.2f} dB/s"
             after = (sound.shape[-1] - onset) / rate
             add("tail", have, after, "s", f"joint at {joint:.2f} s, recording over modes {over}")
     if abs(gain) >= LEAST_GAIN_DB:

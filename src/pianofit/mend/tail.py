@@ -136,8 +136,8 @@ def continue_by_modes(sound: np.ndarray, rate: int, onset: int, modes: Sequence[
         found = _joined(parts, float(joint))
         if abs(found.step_db) > LARGEST_STEP or abs(found.slope_db) > LARGEST_SLOPE:
             return (
-                f"at {joint:.1f} s its level differs by {found.step_db:+.1f} dB and its slope by "
-                f"{found.slope_db:+.1f} dB/s from the modes of its key"
+                f"at {joint:.1f} s its level differs by {found.step_db:+z.1f} dB and its slope by "
+                f"{found.slope_db:+z.1f} dB/s from the modes of its key"
             )
         return found._replace(joint=onset + round(float(joint) * rate))
     return "it is noise, or faded out, from the start"

@@ -153,7 +153,7 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
     check_type("rate=", rate, Real, "a number in Hz, such as 44100")
     array, name = np.asarray(samples), printable(name)
     if array.dtype.kind not in "iuf":
-        raise RecordingError(f"{name}: {short_repr(samples)} must be samples, an array of numbers")
+        raise RecordingError(f"{name}: samples are {array.dtype}; give an array of floats")
     if array.ndim != 1:
         raise RecordingError(f"{name}: shape {array.shape} must be [samples]; choose or average the channels first")
     if not np.issubdtype(array.dtype, np.floating):

@@ -39,8 +39,8 @@ COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "statu
 class Comparison:
     """Comparison of two fits: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
 
-    `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`. They are None if a fit
-    has no covariance. `warnings` are the limits of the comparison.
+    `felts` are both static laws over the same compressions, with 95 % bands at the best minimum, in `felt_unit`. They
+    are None if a fit has no covariance. `warnings` are the limits of the comparison.
     """
 
     labels: tuple[str, str]
@@ -188,7 +188,7 @@ def _cells(quantity: ComparedQuantity) -> tuple[str, ...]:
     unit = "" if quantity.unit == "1" else quantity.unit
     if quantity.z is None or quantity.difference is None or quantity.sd is None:
         return quantity.name, *values, unit, "-", "-", "-", quantity.reason
-    numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{round(quantity.z, 1) + 0.0:+.1f}")
+    numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{round(quantity.z, 1) + 0.0:+z.1f}")
     return quantity.name, *values, unit, *numbers, ""
 
 

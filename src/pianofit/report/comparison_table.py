@@ -180,7 +180,7 @@ class Sides:
         f0 = [fit.invariants["f0"].value if "f0" in fit.invariants else math.nan for fit in self.fits]
         cents = cents_above(f0[1], f0[0]) if np.isfinite(f0).all() and min(f0) > 0 else 0.0
         if abs(cents) > SAME_KEY_CENTS:
-            yield f"The fits are of different keys: their pitches differ by {cents:+.0f} cents."
+            yield f"The fits are of different keys: their pitches differ by {cents:+z.0f} cents."
         first, second = ({row.sha256 for row in fit.recordings} for fit in self.fits)
         if shared := first & second:
             yield (

@@ -161,7 +161,7 @@ def draw_correlations(axes: Axes, correlation: Covariance) -> None:
     axes.pcolormesh(edges, edges, below, cmap=shades, vmin=-1, vmax=1)
     for i, j in np.argwhere(np.abs(below) >= 0.1):
         r = below[i, j]
-        text, colour = f"{100 * r:+.0f}".replace("-", "−"), PAPER if abs(r) > 0.6 else INK
+        text, colour = f"{100 * r:+z.0f}".replace("-", "−"), PAPER if abs(r) > 0.6 else INK
         axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
     axes.set(xlim=(-0.5, n - 1.5), ylim=(n - 0.5, 0.5))  # the first row and the last column are empty
     axes.set_xticks(range(len(names) - 1), names[:-1])

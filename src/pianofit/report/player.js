@@ -117,6 +117,11 @@
   document.addEventListener("keyup", (event) => {
     if (event.key === " " && event.target.matches(".play, .which, .choice[aria-pressed=true]")) event.preventDefault();
   });
+  document.addEventListener("click", (event) => {
+    // a link to a hidden section shows it
+    const link = event.target.closest('a[href^="#"]'), hidden = document.getElementById("hide-physics");
+    if (hidden && link && document.getElementById(link.hash.slice(1))?.closest(".physics")) hidden.checked = false;
+  });
   const redraw = () => players.forEach((player) => player.draw());
   addEventListener("resize", redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

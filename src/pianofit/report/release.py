@@ -46,9 +46,11 @@ def _draw_shapes(axes: Axes, result: Result) -> None:
     row, length = result.fit.reference, float(result.note.geometry.length)
     if row.stroke_interval is not None:
         axes.axvspan(*(end / length for end in row.stroke_interval), color=FITTED, alpha=0.15, lw=0)
+    marks = "shaded: 95 % interval"
     if result.fit.pickup.quantity == "magnetic-pickup":
         axes.plot(float(result.note.geometry.pickup) / length, 0.0, "^", color=INK, ms=8, clip_on=False)
-    axes.set(xlabel="position over length (shaded: 95 % interval; triangle: pickup)", ylabel="displacement")
+        marks += "; triangle: pickup"
+    axes.set(xlabel=f"position over length ({marks})", ylabel="displacement")
     axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.08))
 
 

@@ -12,6 +12,7 @@ import base64
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ import numpy as np
 from ..dsp.filters import reduce_rate
 from ..dsp.loudness import k_weighted_mean_square
 from ..errors import FitError, ParameterError
-from ..io.files import PEAK_LIMIT, encode_pcm
+from ..io.files import PEAK_LIMIT, encode_pcm, safe_name
 from ..io.number_format import number
 from .html import data_uri
 
@@ -51,6 +52,7 @@ class Clip:
     wav: bytes
     gain_db: float
     seconds: float
+    file: str  # name for saving
 
     @property
     def uri(self) -> str:
@@ -62,11 +64,6 @@ class Clip:
         """The file as base64."""
         return base64.b64encode(self.wav).decode()
 
-    @property
-    def file(self) -> str:
-        """The file name for saving."""
-        return "".join(c if c.isalnum() or c in ".-" else "-" for c in self.name) + "-matched.wav"
-
 
 def make_clips(
     sounds: dict[str, np.ndarray],
@@ -77,6 +74,7 @@ def make_clips(
     seconds: float = SECONDS,
     highest_rate: int = HIGHEST_RATE,
     matched: bool = True,
+    of: str = "",
 ) -> list[Clip]:
     """Cut, match and encode `sounds`: name -> [samples] or [channels, samples], at `rate` Hz and aligned; `onset` in s.
 
@@ -85,6 +83,7 @@ def make_clips(
     lead_in, seconds : length before the onset, and total length, s.
     highest_rate : Hz. Sounds of higher rates are resampled to the rate divided by an integer.
     matched : True for equal loudness, False to keep the differences. A silent sound keeps its level.
+    of : name of the recording or the key, with which the names of saved files begin.
     """
     factor = math.ceil(rate / highest_rate)
     excerpts = {name: excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
@@ -99,7 +98,8 @@ def make_clips(
     for name, samples in excerpts.items():
         gain = gains[name] * common
         wav = encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16)
-        clips.append(Clip(name, wav, 20 * math.log10(gain), samples.shape[-1] / rate))
+        file = "-".join(filter(None, [safe_name(of), safe_name(name), "matched" * matched]))
+        clips.append(Clip(name, wav, 20 * math.log10(gain), samples.shape[-1] / rate, f"{file}.wav"))
     return clips
 
 
@@ -137,7 +137,8 @@ def clips_of(result: Result) -> list[Clip]:
         for name, x in ({"original": recorded} | fitted).items()
     }
     seconds = SECONDS if all(x.ndim == 1 for x in sounds.values()) else STEREO_SECONDS
-    return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds)
+    of = Path(result.fit.reference.file).stem
+    return make_clips(sounds, recording.rate, result.fit.reference.onset_s, seconds=seconds, of=of)
 
 
 def strokes_of(result: Result) -> tuple[dict[float, np.ndarray], bool]:
@@ -168,7 +169,7 @@ def slider_of(result: Result) -> dict[str, Any] | None:
         return None
     unit = result.draw_set.law.stroke.unit
     sounds = {f"{number(velocity, 3)} {unit}": samples for velocity, samples in strokes.items()}
-    clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
+    clips = make_clips(sounds, result.recording.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE, of="stroke")
     first = int(np.abs(np.log(np.array([*strokes]) / result.note.stroke_value)).argmin())
     return {"clips": clips, "first": first, "is_recorded_range": is_recorded_range}
 
@@ -182,6 +183,7 @@ def players_of(result: Result) -> list[dict[str, Any]]:
         recording, row = result.recordings[i].recording, result.fit.recordings[i]
         sounds = {"original": recording.samples, "fitted": result.recordings[i].final.samples}
         onset = recording.onset / recording.rate
-        clips = make_clips(sounds, recording.rate, onset, seconds=seconds, highest_rate=LIGHT_RATE)
+        of = Path(row.file).stem
+        clips = make_clips(sounds, recording.rate, onset, seconds=seconds, highest_rate=LIGHT_RATE, of=of)
         players.append({"place": i + 1, "row": row, "clips": clips})
     return players

@@ -66,6 +66,6 @@ def _recording_line(row: RecordingFit, unit: str) -> str:
     channel = f" ({row.channel})" * (row.channel not in ("mono", "average"))
     return (
         f"{Path(row.file).name}{channel}{' (the reference)' * row.is_reference}: {row.stroke_value:.3g} {unit}, "
-        f"gain {row.gain:.3g}, {row.pitch_offset_cents:+.2f} cents, "
+        f"gain {row.gain:.3g}, {row.pitch_offset_cents:+z.2f} cents, "
         f"levels {row.levels.initial_db:.1f} -> {row.levels.fitted_db:.2f} dB"
     )

@@ -142,7 +142,7 @@ def _change(initial: float, final: float) -> str:
     if abs(ratio - 1) < 5e-4:
         return "no change"
     factor = f"{number(ratio, 3)} times smaller" if ratio > 1 else f"{number(1 / ratio, 3)} times larger"
-    return f"{factor} ({-10 * math.log10(ratio):+.1f} dB)".replace("-", "−")
+    return f"{factor} ({-10 * math.log10(ratio):+z.1f} dB)".replace("-", "−")
 
 
 # --- sentences --------------------------------------------------------------------------------------------------------

@@ -72,14 +72,14 @@ class RecordingComparison:
         return None if self.scale is None else 1.0 / self.scale
 
     def levels_at_partials(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Levels of partials `number`, dB, at the recording's [partials]; measured levels where there are none."""
-        scattered = select_partials(level, number, self.analysis.partials.number, np.nan)
-        return np.where(np.isfinite(scattered), scattered, self.level)
+        """Levels of partials `number`, dB, at the recording's [partials]; NaN where there are none."""
+        return select_partials(level, number, self.analysis.partials.number, np.nan)
 
     def add_noise_floor(self, level: np.ndarray) -> np.ndarray:
         """Levels, dB [partials], plus the noise energy of the recording, since a partial at a node is not silent."""
         noise = self.level - self.analysis.partials.snr
-        return DB / 2 * np.logaddexp(2 / DB * level, 2 / DB * noise)
+        with np.errstate(invalid="ignore"):  # NaN where a level is not known
+            return DB / 2 * np.logaddexp(2 / DB * level, 2 / DB * noise)
 
     def energy_and_gain(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
         """|Y|² of a sound on the cells [partials, nodes], and the square of its best gain by eq. 19."""
@@ -113,7 +113,7 @@ class RecordingComparison:
         self, initial: np.ndarray, fitted: np.ndarray, initial_hammer: np.ndarray | None = None
     ) -> LevelErrors:
         """Rms errors of levels, dB [partials], with one gain removed from each."""
-        chosen = audible_partials(self.analysis.partials.frequency, self.level)
+        chosen = audible_partials(self.analysis.partials.frequency, self.level) & np.isfinite(fitted)
 
         def error(level: np.ndarray) -> float:
             return level_error_db(level[chosen], self.level[chosen])
@@ -126,7 +126,8 @@ class RecordingComparison:
     ) -> FittedRecording:
         """The recording with two sounds, their `levels`, dB [partials], and the criterion of both."""
         table, criterion = self.analysis.partials, self._criterion(initial, fitted)
-        compared = PartialLevels(table.number, self.level, table.level_error, levels[0], levels[1])
+        columns = np.array([table.number, self.level, table.level_error, levels[0], levels[1]])
+        compared = PartialLevels(*columns[:, np.isfinite(columns).all(axis=0)])  # F has no partials above 10 kHz
         return FittedRecording(initial, fitted, self.recording, self.analysis, compared, criterion, errors)
 
     def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> Criterion:

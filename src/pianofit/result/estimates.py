@@ -159,7 +159,10 @@ def _ratio(
     u, other = fit.problem.parametrisation, fit.alternative_interval(of)
     divisor = factor * _size_value(fit, size)
     value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
-    quantity = _combined(name, fit.posterior, _unit(u, of) - _unit(u, size), value, unit, states.parameters)
+    below = dict(states.parameters)
+    if below[of] == "given" and {"L": "length", "M_S": "mass"}[size] in fit.problem.initial_values.assumed:
+        below[of] = "assumed"
+    quantity = _combined(name, fit.posterior, _unit(u, of) - _unit(u, size), value, unit, below)
     if other is None or size in u.sizes:
         return quantity
     return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))

@@ -75,7 +75,7 @@ class Prediction:
         return (
             f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.stroke.name} "
             f"= {self.stroke_value:.3g} {self.stroke.unit}"
-            f"{limit}, {self.pitch_offset_cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
+            f"{limit}, {self.pitch_offset_cents:+z.2f} cents and {self.gain_db:+z.1f} dB from the fit)"
         )
 
 

@@ -78,7 +78,7 @@ def _bound_warning(fit: InferenceResult, states: Statuses) -> list[str]:
 
 def _correlation_warnings(correlated: Sequence[StrongCorrelation]) -> list[str]:
     return [
-        f"{pair.first} and {pair.second} are strongly correlated ({pair.correlation:+.3f}). The best-determined "
+        f"{pair.first} and {pair.second} are strongly correlated ({pair.correlation:+z.3f}). The best-determined "
         f"combination is {pair.best_combination}."
         for pair in correlated
     ]
@@ -161,9 +161,12 @@ def _assumption_warnings(fit: InferenceResult) -> list[str]:
     start, u, lines = fit.problem.initial_values, fit.problem.parametrisation, []
     assumed = sorted({size for sizes in start.assumptions.values() for size in sizes})
     if assumed:
+        one = len(assumed) == 1
+        source = "Literature values for this key" if u.law.has_contact else "Typical values"
+        scaled = [name for name in start.assumptions if name in u.reported and u.free[u.index_of(name)]]
         lines.append(
-            f"The string {' and '.join(assumed)} {'was' if len(assumed) == 1 else 'were'} not given. Literature values "
-            f"for this key are used, and the SI values of {', '.join(start.assumptions)} scale with them."
+            f"The string {' and '.join(assumed)} {'was' if one else 'were'} not given. {source} are used, and the SI "
+            f"values of {', '.join(scaled)} scale with {'it' if one else 'them'}."
         )
     if u.free[width := u.index_of("width")]:
         lines.append(

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import __version__
 from ..conversions import HIGHEST_KEY, LOWEST_KEY
+from ..instrument.build import ENOUGH_KEYS
 from ..instrument.key_quantities import literature
 from ..io.number_format import number
 from ..report import html
@@ -61,6 +62,7 @@ def write_page(path: str | os.PathLike[str], tuning: Tuning) -> None:
         tuning=tuning,
         recorded=[key for key in tuning.keys if key.recorded],
         a4_found=by_note["A4"].first_partial,
+        judged=sum(key.recorded for key in tuning.keys) >= ENOUGH_KEYS,
         off=[by_note[note] for note in tuning.off],
         wide=[by_note[note] for note in tuning.wide_unisons],
         beating=[key for key in tuning.keys if key.beats],
@@ -74,7 +76,7 @@ def span_text(it: IntervalValue | None, digits: int | None = None) -> str:
     """Return a value with its interval, in cents to a tenth or with significant digits."""
     if it is None:
         return ""
-    texts = [f"{x:+.1f}" if digits is None else number(x, digits) for x in (it.value, *it.interval)]
+    texts = [f"{x:+z.1f}" if digits is None else number(x, digits) for x in (it.value, *it.interval)]
     return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
 
