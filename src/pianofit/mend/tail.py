@@ -50,9 +50,8 @@ OFFSET, RELATIVE_OFFSET = 0.1, 1.2e-3
 # Frequencies are tried in steps of this share of a period of the measured time.
 PHASE_STEP = 0.1
 # Factors of a partial's decay rates that are tried: range and number; and the standard deviation of their logarithms.
-# Chosen on three pianos. From 0.1 to 0.4 the median of benchmarks/mend.py changes by 0.1 dB. Without a prior it is
-# 0.3 dB larger.
-DECAY_FACTORS, DECAY_SD = (0.25, 4.0, 41), 0.2
+# Chosen on three pianos: the median of benchmarks/mend.py is 0.83 dB with 0.1, and 0.89 dB with 0.2.
+DECAY_FACTORS, DECAY_SD = (0.25, 4.0, 41), 0.1
 # Partials of a string without measured modes. Higher ones have decayed before any joint.
 STRING_PARTIALS = 60
 # A continued sound ends where its level falls below this, dB re full scale, and fades over this share of its length.
