@@ -20,8 +20,8 @@ from ..schema.fit import Fit, Minimum
 WIDER = 10.0
 # Variance of the removed information over that of the prior: 1 less a share of 1/WIDER².
 REMOVED = 1 / (1 - WIDER**-2)
-# Sizes of the string with which values of a fit scale, if the sizes are uncertain.
-SIZES = {"K_H": "M_S", "M_H": "M_S", "x0": "L", "width": "L"}
+# The size of the string by which a value of a fit scales, if that size is uncertain.
+SCALED_BY = {"K_H": "M_S", "M_H": "M_S", "x0": "L", "width": "L"}
 # Largest shift of a mean, standard deviations of the posterior: farther from its mode, a posterior is not Gaussian.
 REACH = 2.0
 # Step of the logarithms of felt parameters in a derivative by differences.
@@ -63,7 +63,7 @@ def prior_of(fit: Fit, minimum: Minimum, names: tuple[str, ...]) -> FitPrior:
             changed = law.log_power(u, at | {name: at[name] * math.exp(STEP)})
             rows[stiffness, names.index(name)] += (changed - term) / STEP
         away[stiffness] += term - law.log_power(u, start)
-    for name, size in SIZES.items():  # the prior is that of a value for the given sizes
+    for name, size in SCALED_BY.items():  # the prior is that of a value for the given sizes
         if name in found and size in names:
             rows[list(found).index(name), names.index(size)] -= 1.0
     sd = np.array(list(found.values()))

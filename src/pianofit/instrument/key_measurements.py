@@ -42,7 +42,7 @@ NEEDED_OF_HAMMER = frozenset(("K_H", "mu", "p", "M_H"))
 # Factor on the standard deviations of a fit that did not converge.
 NONCONVERGED_FACTOR = 2.0
 # Exponents of uncertain sizes. The values of a fit scale with them, and so no quantity but L and M_S/L does.
-SIZES = {
+SIZE_EXPONENTS = {
     "cents": {"L": -CENTS},
     "B": {"L": -2.0},
     "d2": {"L": -2.0},
@@ -195,7 +195,7 @@ def _exponents(names: tuple[str, ...], note: Note, midi: int, scale: float) -> n
     quantities = law_quantities(law_of(note.hammer))
     if law_of(note.hammer).key_quantities:
         rows |= _felt_exponents(note, midi, scale)
-    rows = {quantity: {**rows.get(quantity, {}), **SIZES.get(quantity, {})} for quantity in quantities}
+    rows = {quantity: {**rows.get(quantity, {}), **SIZE_EXPONENTS.get(quantity, {})} for quantity in quantities}
     return np.array([[own.get(name, 0.0) for name in names] for own in rows.values()])
 
 
