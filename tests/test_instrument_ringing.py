@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import soundfile
 from instrument_cases import ERRORS, PARTS, RATE, document_of, fit_document, rung, true_note, write_fit
+from scipy import stats
 from typer.testing import CliRunner
 
 from pianofit.cli import app
@@ -19,8 +20,8 @@ from pianofit.dsp.level import level_energy
 from pianofit.errors import FitError
 from pianofit.export import ExportOptions, export_sampler
 from pianofit.felt import law_of
-from pianofit.instrument import find_fits, load_instrument, load_keys
-from pianofit.instrument.fields import Field, FieldPoints, FieldShape, field_shape
+from pianofit.instrument import fields, find_fits, load_instrument, load_keys
+from pianofit.instrument.fields import FACTOR, SPREADS, Field, FieldPoints, FieldShape, field_shape
 from pianofit.instrument.guessed_knocks import static_part
 from pianofit.instrument.guessed_responses import guess_response
 from pianofit.instrument.key_quantities import stroke_level
@@ -310,6 +311,35 @@ def test_the_spreads_of_a_field_are_found():
     assert (found.cell_sd, found.residual) == pytest.approx((1.5, 3.0), rel=0.4)
     assert found.common_sd + found.drift_sd == pytest.approx(8.0, rel=0.5)
     assert found.drift_keys == pytest.approx(8.0, rel=0.5)
+
+
+@pytest.mark.parametrize(("seed", "higher"), [(26, 0.2), (79, 0.5), (71, 0.0), (160, 0.0)])
+def test_the_highest_of_several_maxima_is_found(seed, higher, monkeypatch):
+    """By an independent density: no lower than from the medians, and higher where these end in another maximum."""
+    random = np.random.default_rng(seed)
+    count = random.integers(2, 5)
+    keys, octaves = (
+        np.sort(random.choice(np.arange(21, 109), count, replace=False)).astype(float),
+        np.linspace(5, 13, 14),
+    )
+    if seed % 2:
+        octave, key = np.tile(octaves, count), np.repeat(keys, 14)
+        values = np.cumsum(random.normal(size=(14, count)), axis=0).T.ravel()
+    else:
+        octave, key = np.repeat(octaves, count), np.tile(keys, 14)
+        common = np.cumsum(random.normal(size=(14, 1)), axis=0)
+        values = (common + 0.7 * np.cumsum(random.normal(size=(14, count)), axis=1)).ravel()
+    points = FieldPoints(octave, key, np.ones(len(key)))
+
+    def density(shape: FieldShape) -> float:
+        relative = shape._replace(**{name: getattr(shape, name) / values.std() for name in SPREADS})
+        away = (np.log(relative) - np.log(FieldShape())) / FACTOR
+        total = shape.covariance(points, points) + shape.white(1.0) * np.eye(len(key))
+        return stats.multivariate_normal(cov=total).logpdf(values - values.mean()) - 0.5 * away @ away
+
+    both = density(field_shape(points, values))
+    monkeypatch.setattr(fields, "START_FACTORS", (1.0, 1.0 + 1e-9))
+    assert both >= density(field_shape(points, values)) + higher - 0.01
 
 
 def test_a_partial_of_two_guessed_keys_is_drawn_alike():

@@ -42,8 +42,8 @@ def lights(entry: Entry, fit: Fit | None) -> list[Light]:
 
 def _graded(value: float, decimals: int, limits: tuple[float, float], sign: str = "") -> Light:
     """Light for the size of a deviation, rounded as displayed."""
-    value = round(value, decimals) + 0.0  # no negative zero
-    text = f"{value:{sign}.{decimals}f}".replace("-", "−")
+    value = round(value, decimals)
+    text = f"{value:{sign}z.{decimals}f}".replace("-", "−")
     tone = "good" if abs(value) <= limits[0] else "fair" if abs(value) <= limits[1] else "poor"
     return Light(tone, tone, text, value)
 

@@ -274,9 +274,7 @@ class PartialDecay(NamedTuple):
     modes: int  # number of its modes
     early: float  # T60 of its energy over `EARLY`, s; NaN where its modes' errors exceed the decay
     late: float  # the same over `LATE`, s
-    beat_frequency: (
-        float  # of the two modes that interfere most, Hz; NaN if none beat by 1.5 dB up to the end of `LATE`
-    )
+    beat_frequency: float  # of the two modes that interfere most, Hz; NaN if none beat by 1.5 dB before `LATE` ends
     beat_depth: float  # from the lowest to the highest effect of interference, dB; NaN without beats
     error: tuple[float, float]  # smallest and largest standard error of its poles (real or imaginary part), 1/s
 

@@ -244,7 +244,7 @@ def check_stroke(string: String, hammer: Any, geometry: Geometry, quantity: str,
     for part in (string, hammer, geometry):
         for name, value in zip(part._fields, part, strict=True):
             if np.ndim(value):
-                raise ParameterError(f"{name}={short_repr(value)} must be one number; give an array to vmap of strike")
+                raise ParameterError(f"{name}={short_repr(value)} must be one number; simulate one string at a time")
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check_hammer(hammer)
     check_geometry(geometry, quantity)

@@ -188,7 +188,7 @@ def _cells(quantity: ComparedQuantity) -> tuple[str, ...]:
     unit = "" if quantity.unit == "1" else quantity.unit
     if quantity.z is None or quantity.difference is None or quantity.sd is None:
         return quantity.name, *values, unit, "-", "-", "-", quantity.reason
-    numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{round(quantity.z, 1) + 0.0:+z.1f}")
+    numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{quantity.z:+z.1f}")
     return quantity.name, *values, unit, *numbers, ""
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..schema.fit import Fit
 from ..schema.quantities import T60, Quantities, Quantity, meaning_of
 from .derived import DrawSet, ModelDraw
+from .posterior import ENDS
 from .result import Result
 
 # Those that hold at the reference compression.
@@ -72,12 +73,12 @@ def _of_ratio(fit: Fit, drawn: tuple[float, float] | None) -> tuple[float, float
 
 def _with_sampled_intervals(result: Result) -> Quantities:
     """Return the invariants, with the interval of a sampler's draws for those that vary in them."""
-    draws, ends = result.draws or {}, (0.025, 0.975)
+    draws = result.draws or {}
 
     def sampled(name: str, own: Quantity) -> Quantity:
         if name not in draws or own.interval_method == "posterior":
             return own
-        low, high = np.quantile(draws[name], ends).tolist()
+        low, high = np.quantile(draws[name], ENDS).tolist()
         return replace(own, interval=(low, high), interval_method="posterior")
 
     return Quantities({name: sampled(name, own) for name, own in result.fit.invariants.items()})

@@ -45,8 +45,8 @@ def identifiability_statement(
         )
     if states.unidentifiable:
         text += (
-            f" They leave the force of the felt open by more than a factor of {math.exp(MAX_LOG_SD):.0f}. Do not "
-            "interpret the felt parameters and the hammer mass."
+            f" The recordings leave the force of the felt open by more than a factor of {math.exp(MAX_LOG_SD):.0f}. Do "
+            "not interpret the felt parameters and the hammer mass."
         )
     if problem.velocity_scale_open:
         scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))
