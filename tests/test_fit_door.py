@@ -148,3 +148,7 @@ def test_a_terminal_has_a_bar(capsys, monkeypatch):
     with progress_bar() as report:
         report("hammer", 0.5)
     assert "hammer" in capsys.readouterr().err
+
+
+def test_a_record_with_numbers_of_numpy_has_a_repr():
+    assert "v_H0" in repr(pianofit.RecordingInfo(v_H0=np.float64(2.0)))

@@ -73,6 +73,7 @@ class RecordingObjective:
     @float64
     def __call__(self, log_values: Float[AnyArray, " parameters"]) -> Array:
         """F at the logarithms of values [parameters]; see the class."""
+        self._check(log_values)
         at = jax.tree.map(jnp.asarray, self._context)
         theta = self._theta(jnp.asarray(log_values))
         return negative_log_density(at, theta, at.phi, at.w, self._problem.cfg)

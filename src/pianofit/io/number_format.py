@@ -136,8 +136,13 @@ def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
 def filled(it: Any) -> str:
     """Return the repr of a dataclass, without empty fields."""
     values = {field.name: getattr(it, field.name) for field in fields(it)}
-    given = (f"{name}={value!r}" for name, value in values.items() if value not in (None, {}, ()))
+    given = (f"{name}={value!r}" for name, value in values.items() if not _is_empty(value))
     return f"{type(it).__name__}({', '.join(given)})"
+
+
+def _is_empty(value: Any) -> bool:
+    """True for None, and for a dict or tuple without entries. An array does not equal a tuple."""
+    return value is None or (isinstance(value, dict | tuple) and not value)
 
 
 def _summarised(value: Any, exact: bool) -> str:

@@ -88,12 +88,12 @@ def tuning_summary(tuning: Tuning) -> str:
     lines = [
         f"{tuning.name or 'piano'}: {counted(recorded, 'key')} recorded, {len(keys) - recorded} inferred; target "
         f"A4 = {number(tuning.a4)} Hz, {tuning.octave} octaves. Brackets are 95 % intervals.",
-        f"{'':4}{'B':>38}{'as found, cents':>23}{'target, Hz':>12}{'change, cents':>23}",
+        f"{'':4}{'B':>38}{'as found, cents':>25}{'target, Hz':>12}{'change, cents':>25}",
     ]
     for note in SHOWN:
         key = keys[note]
         found, change = span_text(key.as_found), span_text(key.change)
-        lines.append(f"{note:4}{span_text(key.B, 3):>38}{found:>23}{key.target.value:>12.3f}{change:>23}")
+        lines.append(f"{note:4}{span_text(key.B, 3):>38}{found:>25}{key.target.value:>12.3f}{change:>25}")
     lines.append(f"A4 as found: {span_text(keys['A4'].first_partial, 5)} Hz")
     lines += [f"off its law: {note} by {span_text(keys[note].deviation)} cents" for note in tuning.off]
     lines += [f"wide unison: {note}, {_beats(keys[note])}" for note in tuning.wide_unisons]
