@@ -130,7 +130,7 @@ class RecordingObjective:
             theta = np.asarray(self._theta(jnp.asarray(log_values, float)))
         return objective_at(self._problem, theta)
 
-    def _check(self, log_values: np.ndarray) -> None:
+    def _check(self, log_values: np.ndarray | Array) -> None:
         if np.shape(log_values) != self.start.shape:
             raise ParameterError(
                 f"log_values= has the shape {np.shape(log_values)} and must have one logarithm for each of {self.names}"
