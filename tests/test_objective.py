@@ -106,8 +106,10 @@ def test_a_bad_guess_is_rejected(given, word):
 
 def test_bad_arguments_are_rejected():
     F = objective()
-    with pytest.raises(ParameterError, match="log_values"):
-        F.value_and_gradient(F.start[:3])
+    for wrong in (F.start[:3], F.start[:1]):
+        for function in (F, F.value_and_gradient, F.values):
+            with pytest.raises(ParameterError, match="log_values"):
+                function(wrong)
     with pytest.raises(ParameterError, match="tension"):
         F.log_values({"tension": 700.0})
     with pytest.raises(ParameterError, match="float64"):
