@@ -84,6 +84,11 @@ def test_processes_interruptions_and_extensions_do_not_change_a_data_set(tmp_pat
     assert extended.made == count - BLOCK
     assert files(parts) == files(tmp_path / "whole")
     assert write_dataset(parts, count, seed=2, options=SMALL, progress=False).made == 0
+    (parts / "blocks" / ".DS_Store").touch()  # of a file manager
+    (parts / "blocks" / "00002" / f"{2 * BLOCK:07}.flac").unlink()
+    assert write_dataset(parts, count, seed=2, options=SMALL, progress=False).made == count - 2 * BLOCK
+    (parts / "blocks" / ".DS_Store").unlink()
+    assert files(parts) == files(tmp_path / "whole")
 
 
 @pytest.mark.parametrize("form", ["flac", "wav", "npz"])

@@ -337,3 +337,16 @@ def test_peak_and_trim_are_as_asked(tmp_path):
         assert max(peaks) == pytest.approx(-9.0, abs=0.01)
         lengths[trim] = [len(sound) for sound in sounds]
     assert all(short < long for short, long in zip(lengths[40.0], lengths[80.0], strict=True))
+
+
+def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
+    out = tmp_path / "sampler"
+
+    def write_there(*_: object) -> None:
+        out.mkdir(exist_ok=True)
+        (out / "thesis.txt").write_text("mine")
+
+    with pytest.raises(OutputError, match="not an export"):
+        export_sampler(PIANO, out, KEYS, SHORT, progress=write_there)
+    assert [path.name for path in tmp_path.iterdir()] == ["sampler"]
+    assert (out / "thesis.txt").read_text() == "mine"

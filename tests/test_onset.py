@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pianofit.analysis import analyse
 from pianofit.dsp.filters import LOWEST_HZ, without_drift
-from pianofit.errors import WrongNoteError
+from pianofit.errors import RecordingError, WrongNoteError
 from pianofit.recording import onset as module
 from pianofit.recording.onset import find_onset, find_sounds
 from pianofit.recording.recording import load_recording, recording_from_samples
@@ -158,3 +158,9 @@ def test_an_analysis_that_fails_repeats_what_was_odd_about_the_recording():
     x[10_000 : 10_000 + len(noise)] += noise
     with pytest.raises(WrongNoteError, match="before the note"):
         analyse((x, RATE), note="C4")
+
+
+@pytest.mark.parametrize("at", [0, 1, 2])
+def test_a_click_at_the_first_samples_is_not_a_note(at):
+    with pytest.raises(RecordingError, match="onset"):
+        recording_from_samples(np.eye(1, RATE, at)[0], RATE)

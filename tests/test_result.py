@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
 from twin_cases import short_fit as result
 
 import pianofit
@@ -326,3 +328,10 @@ def test_a_file_that_is_no_fit_is_refused(saved, change, named):
     with pytest.raises(FitError, match=r"fit\.json: ") as caught:
         pianofit.Result.load(saved)
     assert named in str(caught.value)
+
+
+@given(st.lists(st.sampled_from(["x", "x-1", "x-2", "x-3", "y"]), min_size=2, max_size=6))
+def test_fitted_sounds_have_different_names(stems):
+    from pianofit.report.save import stroke_names
+
+    assert len({*stroke_names(stems)}) == len(stems)

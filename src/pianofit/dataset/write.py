@@ -193,19 +193,22 @@ def _locked(path: Path) -> Iterator[None]:
         (path / BLOCKS).mkdir(exist_ok=True)
         with locked(path / LOCK, f"{printable(path)}: another run writes this data set; wait for it"):
             for unfinished in (path / BLOCKS).glob(".*"):
-                shutil.rmtree(unfinished)
+                if unfinished.is_dir():  # file managers write hidden files
+                    shutil.rmtree(unfinished)
             yield
     except OSError as error:
         raise write_error(path, error, "choose another --out") from None
 
 
 def _is_complete(path: Path, block: _Block) -> bool:
-    """Return whether a block is there with all its notes: the last block of a smaller data set has fewer."""
+    """Return whether a block is there with all its sounds: the last block of a smaller data set has fewer."""
     try:
-        text = (path / BLOCKS / block.key / ROWS).read_text(encoding="utf-8")
+        with (path / BLOCKS / block.key / ROWS).open(encoding="utf-8", newline="") as table:
+            files = [row.get("file") or "" for row in csv.DictReader(table)]
     except OSError:
         return False
-    return text.count("\n") == 1 + block.record.options.layers * len(block.numbers)
+    expected = block.record.options.layers * len(block.numbers)
+    return len(files) == expected and all((path / file).is_file() for file in {*files})
 
 
 def _commit(path: Path, key: str, files: dict[str, bytes]) -> None:

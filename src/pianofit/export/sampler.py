@@ -130,6 +130,7 @@ def export_sampler(
                 summary, content = _write_samples(instrument, work, title, keys, options, progress)
                 (work / file).write_text(SAMPLERS[to].text(content), encoding="utf-8")
                 (work / README).write_text(readme_text(instrument, file, content, licence), encoding="utf-8")
+                _check_target(out, force)  # something else may have written there meanwhile
                 if out.exists():
                     out.rename(old)
                 work.rename(out)

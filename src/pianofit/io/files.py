@@ -162,8 +162,7 @@ def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
                 raise OutputError(f"{name}: the folder is not writable; choose another --out")
             if next(path.iterdir(), None) is not None and not force:
                 raise OutputError(
-                    f"{name}: the folder is not empty; give another, or --force to replace a result in it (in Python "
-                    "force=True)"
+                    f"{name}: the folder is not empty; give another, or force=True to replace a result in it"
                 )
             earlier = _listed(path, listing)
             yield path

@@ -118,6 +118,8 @@ def _change_point(x: np.ndarray, floor: float, margin: int = 4) -> int:
     C [3, 3] is the covariance of the samples of one side and their two predecessors, C' that of the predecessors. The
     prediction error has variance det C / det C'. `floor` is the smallest standard deviation assumed.
     """
+    if len(x) < 3:
+        return 0
     rows = np.lib.stride_tricks.sliding_window_view(x, 3)
     splits = np.arange(margin, len(rows) - margin)
     if len(splits) == 0:

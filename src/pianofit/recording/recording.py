@@ -174,12 +174,12 @@ def _measure(used: np.ndarray, rate: int, step: float, **info) -> Recording:
     end = int(np.flatnonzero(used.any(axis=1))[-1]) + 1
     silence, used, mono = len(used) - end, used[:end], mono[:end]
     *earlier, onset = find_sounds(mono - offset(mono), rate, step)
+    if len(mono) - onset < MIN_SECONDS * rate:
+        remaining = 1000 * (len(mono) - onset) / rate
+        raise RecordingError(f"ends {remaining:.1f} ms after its onset; at least {1000 * MIN_SECONDS:g} ms are needed")
     dc = offset(max(mono[:onset], mono[onset:], key=len))
     samples = mono - dc
     noise = noise_rms(samples, onset, rate)
-    if len(samples) - onset < MIN_SECONDS * rate:
-        remaining = 1000 * (len(samples) - onset) / rate
-        raise RecordingError(f"ends {remaining:.1f} ms after its onset; at least {1000 * MIN_SECONDS:g} ms are needed")
     clipped, clipping_warnings = count_clipped(used, onset, rate, step)
     warnings += clipping_warnings
     if earlier:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -85,8 +86,12 @@ def write_page(result: Result, path: Path, title: str | None, held_out: CrossVal
 
 def stroke_names(stems: Sequence[str]) -> list[str]:
     """Return the files of the fitted sounds of several recordings, from their names; empty for a single recording."""
-    # Files in different folders can have the same name.
-    names = [stem if stems.count(stem) == 1 else f"{stem}-{place}" for place, stem in enumerate(stems, 1)]
+    names: list[str] = []
+    for place, stem in enumerate(stems, 1):
+        # Files in different folders can have the same name. The number must not make the name of another file.
+        numbered = (f"{stem}-{number}" for number in itertools.count(place))
+        free = (name for name in numbered if name not in (*stems, *names))
+        names.append(stem if stems.count(stem) == 1 else next(free))
     return [f"fitted-{name}.wav" for name in names] * (len(stems) > 1)
 
 
