@@ -75,6 +75,16 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def pytest_sessionfinish() -> None:
+    """Write the coverage that was measured in this process while it still may.
+
+    pytest-xdist kills a worker that takes more than 10 s to exit, and with it what a worker would write at its exit.
+    """
+    if (coverage := sys.modules.get("coverage")) and (running := coverage.Coverage.current()):
+        running.stop()
+        running.save()
+
+
 def _name(node: str) -> str:
     """What a test's file is of: tests/test_gate.py -> gate."""
     return Path(node.partition("::")[0]).stem.removeprefix("test_")
