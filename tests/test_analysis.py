@@ -313,7 +313,7 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     def by(factor: float) -> Analysis:
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
-        level, error, lag = measure_levels(fitted, decay)
+        level, error, lag = measure_levels(fitted, law_frequency(f0, B, number), decay)
         table = replace(first.partials, number=number, level=level, level_error=error, level_decay_sensitivity_s=lag)
         return replace(laws, partials=table)
 

@@ -59,6 +59,8 @@ def test_a_knock_follows_gain_and_not_silence_or_rate():
     level = measure_knock(recording(88, 2.0), f0)[0]
     louder = recording(88, 2.0, scale=3.0, silence=0.3)
     assert measure_knock(louder, f0)[0] == pytest.approx(level + 20 * np.log10(3), abs=0.05)
+    at_once = replace(louder, samples=louder.samples[louder.onset :], onset=0)
+    assert measure_knock(at_once, f0)[0] == pytest.approx(level + 20 * np.log10(3), abs=0.05)
     finer = pianofit.recording_from_samples(signal.resample_poly(louder.samples, 160, 147), 48_000)
     assert measure_knock(finer, f0)[0] == pytest.approx(level + 20 * np.log10(3), abs=0.1)
 

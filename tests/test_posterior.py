@@ -5,13 +5,13 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import dblquad, quad
 from table_cases import PHI, dense, evaluate_one, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.curvature import TablePoint, information_lost_to_weights
 from pianofit.inference.hyperparameters import Quadratic, draw_hyperparameters
-from pianofit.inference.laplace import Posterior, _log_curvature
+from pianofit.inference.laplace import Posterior, _inverse, _log_curvature
 from pianofit.inference.likelihood import em_weights
 
 HYPER = [0, 1, 2, 3, 4]
@@ -41,6 +41,21 @@ def test_a_linear_gaussian_problem_is_described_exactly():
 def test_at_a_bound_half_a_parabola_is_integrated(slope, curvature):
     inward = quad(lambda t: np.exp(-slope * t - 0.5 * curvature * t**2), 0, 10 / max(slope, np.sqrt(curvature)))[0]
     assert np.exp(-0.5 * _log_curvature(slope, curvature)) == pytest.approx(inward / np.sqrt(2 * np.pi), rel=1e-3)
+
+
+@pytest.mark.parametrize("gradient", [(0.0, 0.5), (0.5, 0.5), (-0.8, 0.5)])
+@pytest.mark.parametrize("inward", [1, -1])
+def test_at_a_bound_the_free_parameters_follow(gradient, inward):
+    """The mass of a quadratic F over a half plane, by quadrature: a free parameter, and one at a bound."""
+    precision, gradient = np.array([[2.0, 1.2 * inward], [1.2 * inward, 1.5]]), np.array(gradient) * (1, inward)
+
+    def density(t: float, x: float) -> float:
+        at = np.array([x, inward * t])
+        return np.exp(-gradient @ at - 0.5 * at @ precision @ at)
+
+    covariance, log_det = _inverse(precision, np.array([0]), np.array([0, inward]), gradient)
+    mass = dblquad(density, -12, 12, 0, 12)[0] / (2 * np.pi)
+    assert 0.5 * (gradient @ covariance @ gradient - log_det) == pytest.approx(np.log(mass), abs=1e-6)
 
 
 def lowest(shape: str):

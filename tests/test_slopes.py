@@ -84,6 +84,22 @@ def test_errors_hold_for_partials_that_beat(deepest):
         assert abs(np.mean(standardised)) < 0.35
 
 
+def test_errors_hold_for_faint_partials_whose_beats_the_noise_hides():
+    """One exponential describes them down to the noise, although they beat as the loud ones do."""
+    z = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        a = phases(seed) * 10 ** (-2.2 * np.arange(COUNT) / (COUNT - 1))
+        decay = np.exp(random.uniform(np.log(1.5), np.log(3.0), COUNT))
+        share = random.uniform(0.3, 0.5, COUNT) * np.exp(2j * np.pi * random.random(COUNT))
+        detuning = np.exp(random.uniform(np.log(0.2), np.log(0.6), COUNT))
+        table = measured([(a, decay, np.zeros(COUNT)), (share * a, decay, detuning)], noise=3e-4)
+        faint = table.snr < 40
+        z += ((table.decay - decay) / table.total_error("decay"))[faint].tolist()
+    assert len(z) > 10
+    assert np.sqrt(np.mean(np.square(z))) < 1.3
+
+
 # --- real notes -------------------------------------------------------------------------------------------------------
 
 NOTES = ("headroom-C4-L1-close.flac", "headroom-Ds1-L3-close.flac", "cp80-C5-F.flac", "headroom-A6-L4-close.flac")

@@ -138,14 +138,17 @@ def _noise_covariance(bands: Bands, cut: slice, fit: Exponentials, damping: floa
     return np.stack([full[0, 0], full[0, 1], full[1, 1]]) / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
 
 
-def measure_levels(fitted: FittedBands, decay: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def measure_levels(
+    fitted: FittedBands, frequency: np.ndarray, decay: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels and their standard errors due to noise, dB, and `Partials.level_decay_sensitivity_s`, s.
 
     The weight falls with the amplitude that the decay law predicts. A slower weight would include more noise, a faster
     one would depend on the phase of the beats. `decay`, 1/s [partials], converts the energy of the frames to that of
-    the level's span.
+    the level's span. The filter passes each partial as it does its `frequency`, Hz [partials].
     """
-    bands, frame, offset = fitted.bands, fitted.frame_noise, 1j * fitted.fit.pole.imag
+    bands, frame = fitted.bands, fitted.frame_noise
+    offset = 2j * np.pi * (frequency - bands.centre)
     cut = bands.frames_within(0.0, bands.time[0] + LEVEL_FRAMES_SECONDS)
     t = bands.time[cut]
     alpha = np.clip(decay, 0.0, 100.0)[:, None]  # far beyond the detected partials the law would be too fast

@@ -21,11 +21,15 @@ def measure_knock(recording: Recording, f0: float) -> tuple[float, float]:
     rest = len(samples) - onset - round(NOISE_FROM * rate)
     if not has_knock(f0) or rest < LEAST_NOISE * rate:
         return np.nan, np.inf
-    size = fast_length(len(samples))
+    # Silence on both sides takes up the filter's response, which is periodic, and has the window's start within it.
+    silence = round(AFTER * rate)
+    size = fast_length(len(samples) + 2 * silence)
     hz = np.fft.rfftfreq(size, 1 / rate)
     inside = (hz >= BAND[0] * f0) & (hz <= BAND[1] * f0)
-    power = np.fft.irfft(np.where(inside, np.fft.rfft(samples, size), 0.0), size)[: len(samples)] ** 2
-    attack = power[max(onset - round(BEFORE * rate), 0) : onset + round(AFTER * rate)]
+    spectrum = np.where(inside, np.fft.rfft(np.pad(samples, silence), size), 0.0)
+    power = np.fft.irfft(spectrum, size)[: silence + len(samples)] ** 2
+    start = silence + onset
+    attack = power[start - round(BEFORE * rate) : start + round(AFTER * rate)]
     noise = len(attack) * float(np.mean(power[-rest:]))
     energy = float(attack.sum()) - noise
     if not energy > 10 ** (LEAST_SNR / 10) * noise:

@@ -91,7 +91,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     detected |= not detected.any()
     law = decay_law(number[detected], -fit.pole.real[detected], full.pole_error()[detected])
     frequency, frequency_error, frequency_sd = _frequencies(fits, bands.centre, clean & ~(glides & lasts))
-    early_slope, late_slope = (_of_clean(slopes, full, clean) for slopes in measure_decay_rates(fitted))
+    early_slope, late_slope = (_of_clean(slopes, full, clean, beat_visible) for slopes in measure_decay_rates(fitted))
     level, level_error, level_sd, lag = _levels(fits, fitted, law(number))
     table = Partials(
         number=number,
@@ -157,16 +157,18 @@ def _frequencies(fits: _Fits, centre: np.ndarray, use_full: np.ndarray) -> tuple
     return np.where(components.valid, components.frequency, frequency), error, sd
 
 
-def _of_clean(slopes: Slopes, full: ExponentialFit, clean: np.ndarray) -> Slopes:
+def _of_clean(slopes: Slopes, full: ExponentialFit, clean: np.ndarray, beat_visible: np.ndarray) -> Slopes:
     """Slopes, with the exponential of the whole recording where one is sufficient, bool `clean` [partials].
 
-    Beats of neighbours that are visible also count where a partial shows none: it can be hidden in its short part.
+    Such a partial does not beat if a beat would be visible above its noise. If not, it can beat as the others do.
     """
-    visible = np.isfinite(slopes.rate)
-    rate = np.where(clean & visible, -full.fit.pole.real, slopes.rate)
-    noise = np.where(clean & visible, full.pole_error(), slopes.noise)
-    beats = _at_least_neighbours(np.where(clean, 0.0, slopes.beats))
-    return replace(slopes, rate=rate, noise=np.hypot(noise, _DECAY_FLOOR * np.abs(rate)), beats=beats)
+    measured = np.isfinite(slopes.rate)
+    rate = np.where(clean & measured, -full.fit.pole.real, slopes.rate)
+    noise = np.where(clean & measured, full.pole_error(), slopes.noise)
+    beats = _fill_hidden(np.where(clean, 0.0, slopes.beats), beat_visible | ~clean)
+    return replace(
+        slopes, rate=rate, noise=np.hypot(noise, _DECAY_FLOOR * np.abs(rate)), beats=_at_least_neighbours(beats)
+    )
 
 
 def _early_beat_error(early: Slopes) -> np.ndarray:
@@ -188,7 +190,9 @@ def _levels(
     Fast beats are measured by the residual in the first window, slow ones by the envelope of the first 2 s. Two
     vibrations of amplitudes 1 and a that begin in phase have the energy 1 + a² instead of (1 + a)².
     """
-    level, error, lag = measure_levels(fitted, decay)
+    bands, components = fitted.bands, fits.components
+    frequency = np.where(components.valid, components.frequency, bands.centre + fitted.fit.pole.imag / (2 * np.pi))
+    level, error, lag = measure_levels(fitted, frequency, decay)
     first, power = fits.first, fits.first.fit.power
     residual = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(power, 1e-300)
     fast = _at_least_neighbours(_fill_hidden(np.sqrt(residual), first.noise < _BEAT_VISIBLE**2 * power))

@@ -179,7 +179,9 @@ def _at_minimum(objective: Objective, candidates: Candidates, i: int) -> tuple[f
     """
     u, theta = objective.problem.parametrisation, candidates.theta[i]
     bound = u.at_bound(theta)
-    free, at_bound = np.flatnonzero(objective.free & ~bound), np.flatnonzero(objective.free & bound)
+    free = np.flatnonzero(objective.free & ~bound)
+    lower, upper = u.bounds_at(theta)
+    inward = np.where(objective.free & bound, np.where(theta - lower < upper - theta, 1, -1), 0)
     along = u.bound_jacobian(theta[None], bound[None])[0]
     points = [
         TablePoint(term.table, part.residual[i], part.jacobian[i], part.phi[i], part.w[i], theta, hyper)
@@ -189,7 +191,7 @@ def _at_minimum(objective: Objective, candidates: Candidates, i: int) -> tuple[f
     F, negative_log_proposal = draw_hyperparameters(points, Quadratic(*objective.prior(theta[None])), along[:, free])
     log_weight, covariances = negative_log_proposal - F.value, []
     for n, (gradient, curvature) in enumerate(zip(*F.along(along), strict=True)):
-        covariance, log_det = _inverse(curvature, free, at_bound, gradient)
+        covariance, log_det = _inverse(curvature, free, inward, gradient)
         shift = covariance @ gradient
         log_weight[n] += 0.5 * (gradient @ shift - log_det)
         covariances.append(covariance + np.outer(shift, shift))
@@ -217,15 +219,22 @@ def _by_unknown_weights(
 
 
 def _inverse(
-    precision: np.ndarray, free: np.ndarray, at_bound: np.ndarray, slope: np.ndarray
+    precision: np.ndarray, free: np.ndarray, inward: np.ndarray, gradient: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Covariance of θ [size, size], 0 for fixed parameters, and log|H| with the factors of parameters at a bound."""
+    """Covariance of θ [size, size], 0 for fixed parameters, and log|H| with the factors of parameters at a bound.
+
+    `inward` [size] is the sign of the direction away from the bound, 0 for parameters that are not at one. Free
+    parameters follow their minimum as such a parameter moves, which changes the slope and the curvature of F. At a φ
+    for which F falls inward, the parameter counts as at its minimum: a quadratic about a bound does not reach far.
+    """
     covariance, inner = np.zeros(precision.shape), precision[np.ix_(free, free)]
     covariance[np.ix_(free, free)] = inverse_curvature(inner)
     log_det = float(np.linalg.slogdet(inner)[1])
-    for k in at_bound:
-        across = precision[k, k] - precision[k] @ covariance @ precision[k]
-        log_det += _log_curvature(abs(float(slope[k])), max(float(across), FLAT * float(precision[k, k])))
+    for k in np.flatnonzero(inward):
+        following = precision[k] @ covariance
+        slope = max(inward[k] * float(gradient[k] - following @ gradient), 0.0)
+        across = float(precision[k, k] - following @ precision[k])
+        log_det += _log_curvature(slope, max(across, FLAT * float(precision[k, k])))
     return covariance, log_det
 
 
