@@ -126,10 +126,10 @@ def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -
 
 def study(seed: int) -> list[dict]:
     """Return one row for each partial of a drawn note, with its true and its detected modes."""
-    from pianofit.modal_response.aligned_layers import KERNEL, KERNEL_RANGE, SPAN
+    from pianofit.modal_response.aligned_layers import SPAN, band_window
 
     drawn, rows = draw(seed), []
-    modes, kernel = found(drawn), float(np.clip(KERNEL / drawn.f0, *KERNEL_RANGE))
+    modes, kernel = found(drawn), band_window(drawn.f0)
     samples = STROKES * 1.5 / kernel * SPAN
     cost = (STROKES + 1) * np.log(samples)
     for k, (pole, amplitude) in enumerate(zip(drawn.poles, drawn.amplitudes, strict=True), start=1):

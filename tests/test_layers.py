@@ -64,7 +64,7 @@ USES = {
     "playback": "dsp felt instrument io literature model parameters threads",
     "export": "analysis dsp felt instrument io model playback report schema threads",
     "mend": "analysis batch dsp instrument io modal_response model recording",
-    "tuner": "analysis instrument io literature model report schema",
+    "tuner": "analysis instrument io literature modal_response model report schema",
     "web": "analysis dsp felt instrument io literature model parameters playback recording report schema",
     "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io library listening literature"
     " mend model parameters playback program_folder progress recording report result schema setup synthetic threads"

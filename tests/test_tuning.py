@@ -291,6 +291,24 @@ def test_beats_are_the_split_of_the_modes(cents, is_wide):
     assert found.wide_unisons == (("C4",) if is_wide else ())
 
 
+@pytest.mark.parametrize(("cents", "at_limit"), [(12.0, True), (12.0, False), (40.0, True), (40.0, False)])
+def test_a_unison_too_wide_for_the_modes_of_high_partials_is_not_a_good_one(cents, at_limit):
+    """These modes lie 23.3 Hz apart at most. Beyond, one mode is at the limit or none is found."""
+    response, limit = beating(cents), 2 * np.pi * 23.3
+    pole = response.pole.copy()
+    beyond = np.imag(pole[1::2] - pole[::2]) > limit
+    pole[1::2] = np.where(beyond, pole[::2] + 1j * limit * at_limit, pole[1::2])
+    found, key = tuning_with(response._replace(pole=pole))
+    assert 0 < beyond.sum() < len(beyond)
+    if at_limit or cents < 20:
+        assert key.unison_cents is not None
+        assert key.unison_cents.interval[0] > 2
+        assert key.unison_cents.interval[1] == pytest.approx(cents, rel=0.01)
+        assert found.wide_unisons == ("C4",)
+    else:
+        assert key.unison_cents is None
+
+
 def test_few_partials_determine_no_interval_of_their_median():
     response = beating(5.0)
     few = response.partial <= 5

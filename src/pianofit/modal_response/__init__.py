@@ -10,3 +10,4 @@ layers that are left out.
 
 from .aligned_layers import partial_band
 from .model_selection import fit_modal_response
+from .modes import fastest_beat

@@ -92,7 +92,12 @@ def partial_band(spectrum: np.ndarray, samples: int, rate: float, frequency: flo
 
     Its width suits partials `spacing` Hz apart.
     """
-    return hann_band(spectrum, samples, rate, frequency, float(np.clip(KERNEL / spacing, *KERNEL_RANGE)))
+    return hann_band(spectrum, samples, rate, frequency, band_window(spacing))
+
+
+def band_window(spacing: float) -> float:
+    """Length of the window, s, for partials `spacing` Hz apart."""
+    return float(np.clip(KERNEL / spacing, *KERNEL_RANGE))
 
 
 def relative_pitches(

@@ -21,7 +21,7 @@ from ..analysis import Analysis, law_frequency, tension_share
 from ..dsp.bands import Bands
 from ..dsp.common_poles import fit_amplitudes, poles_by_subspace, refine_poles, standard_errors
 from ..dsp.damped_sums import powers, sum_damped_modes
-from .aligned_layers import SPAN, AlignedLayers, partial_band, relative_pitches, track_offsets
+from .aligned_layers import SPAN, AlignedLayers, band_window, partial_band, relative_pitches, track_offsets
 from .valid_frames import LOG_TIME_START, RANGE, ValidFrames, select_valid_frames
 
 # Numbers of modes that a partial can have.
@@ -94,6 +94,14 @@ class PartialModes:
     def amplitudes(self, coordinates: np.ndarray) -> np.ndarray:
         """Amplitudes at the onset of a sound with these coordinates [..., modes]."""
         return coordinates @ np.linalg.pinv(self.basis, rcond=LEAST_SINGULAR).T
+
+
+def fastest_beat(spacing: float) -> float:
+    """Largest distance of a mode from the frequency of its partial, Hz, if partials lie `spacing` Hz apart.
+
+    Beats of modes farther apart than that are not found.
+    """
+    return min(OF_SPACING * spacing, OF_BAND / band_window(spacing))
 
 
 def modes_of(layers: AlignedLayers, analyses: Sequence[Analysis]) -> list[PartialModes]:
@@ -199,7 +207,7 @@ def _select_order(valid: ValidFrames, spacing: float, b: Bands, quick: bool) -> 
         return None
     decay = -float(unlifted[1][0].real)
     fastest = max(FASTEST, FASTEST_RATIO * decay)
-    widest = 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / b.window)
+    widest = 2 * np.pi * fastest_beat(spacing)
 
     def box(pole: np.ndarray) -> np.ndarray:
         return np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)

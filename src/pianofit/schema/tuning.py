@@ -62,8 +62,8 @@ class TunedKey:
     change : target minus as found, cents.
     deviation : as found minus the law, cents, of a recorded key.
     beats : of the partials of a recorded key.
-    unison_cents : split of the unison, cents: median over all partials above 290 Hz, in which 2 cents are a measurable
-        beat. A partial that does not beat counts as 0. None without a modal response.
+    unison_cents : split of the unison, cents: median over the partials in which it, but at least 2 cents, would be a
+        measurable beat. A partial that does not beat counts as 0. None without a modal response.
     """
 
     midi: KeyNumber

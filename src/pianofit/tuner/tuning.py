@@ -25,6 +25,7 @@ from ..instrument.keyboard_posterior import JointLaws, KeyMeasurements, Measurem
 from ..io.files import as_path, printable
 from ..io.number_format import counted
 from ..literature import typical_strings
+from ..modal_response import fastest_beat
 from ..model.modal_response import LATE, ModalResponse, PartialDecay, decays_and_beats
 from ..schema.instrument import INSTRUMENT_FILE, OwnFit, is_instrument
 from ..schema.tuning import IntervalValue, OctaveType, PartialBeat, TunedKey, Tuning
@@ -41,8 +42,9 @@ ENDS = (2.5, 97.5)  # percentiles
 # Split of a unison up to which listeners prefer it, cents: a largest deviation of 1 to 2 cents among three strings (R.
 # E. Kirk, J. Acoust. Soc. Am. 31, 1644, 1959).
 PREFERRED_UNISON = 2.0
-PREFERRED_RATIO = math.expm1(PREFERRED_UNISON / CENTS)  # relative frequency difference
 SLOWEST_BEAT = 1 / LATE[1]  # Hz; `decays_and_beats` does not report slower ones
+# Share of the fastest beat that the modes of a partial can have. A faster beat can be that of a mode at its limit.
+WITHIN_REACH = 0.95
 HINT = "give the folder of pianofit batch, fit.json files, or one instrument.json"
 
 
@@ -193,22 +195,33 @@ def _warnings(recorded: Recorded, has_law: bool) -> list[str]:
 def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
     """Beats of a key, and the split of its unison.
 
-    A mistuned unison splits all partials by the same number of cents. So the split is the median over all partials in
-    which the preferred split would be a measurable beat. A partial that does not beat counts as 0 cents. The interval
-    is that of a median, from the order of the ends of the partials' own intervals. Fewer than six partials determine
-    none of 95 %, and a key with one string has no unison.
+    A mistuned unison splits all partials by the same number of cents. So the split is the median over partials. The
+    beats alone give a first value. Partials count in which this split, but at least the preferred one, would be a
+    measurable beat. One that does not beat counts as 0 cents, if such a beat would have been found. One with a mode at
+    its limit counts with that beat, although its strings can be farther apart. The interval is that of a median, from the
+    order of the ends of the partials' own intervals. Fewer than six partials determine none of 95 %, and a key with one
+    string has no unison.
     """
     decays = [] if response is None or round(typical_strings(midi)) < 2 else decays_and_beats(response)
-    chosen = [partial for partial in decays if partial.frequency >= SLOWEST_BEAT / PREFERRED_RATIO]
-    beats = tuple(_beat(partial) for partial in chosen if not math.isnan(partial.beat_frequency))
-    cents = [beat.cents for beat in beats] + [IntervalValue(0.0, (0.0, 0.0))] * (len(chosen) - len(beats))
+    if not decays:
+        return {}
+    beats = {it.number: _beat(it) for it in decays if not math.isnan(it.beat_frequency)}
+    fastest = WITHIN_REACH * fastest_beat(decays[0].frequency / decays[0].number)
+    first = float(np.median([beat.cents.value for beat in beats.values() if beat.rate.value < fastest] or [0.0]))
+    ratio = math.expm1(max(first, PREFERRED_UNISON) / CENTS)
+    counted = [
+        it
+        for it in decays
+        if ratio * it.frequency >= SLOWEST_BEAT and (it.number in beats or ratio * it.frequency < fastest)
+    ]
+    cents = [beats[it.number].cents if it.number in beats else IntervalValue(0.0, (0.0, 0.0)) for it in counted]
     # The median of all partials lies below the lowest `rank` of these with a probability of 2.5 % at most.
     rank = int((bdtr(np.arange(len(cents)), len(cents), 0.5) <= ENDS[0] / 100).sum())
     if not rank:
-        return {"beats": beats}
+        return {"beats": tuple(beats.values())}
     lows, highs = (sorted(it.interval[end] for it in cents) for end in (0, 1))
     median = float(np.median([it.value for it in cents]))
-    return {"beats": beats, "unison_cents": IntervalValue(median, (lows[rank - 1], highs[-rank]))}
+    return {"beats": tuple(beats.values()), "unison_cents": IntervalValue(median, (lows[rank - 1], highs[-rank]))}
 
 
 def _beat(partial: PartialDecay) -> PartialBeat:
