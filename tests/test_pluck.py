@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +110,8 @@ def test_a_fit_of_brute_force_plucks_holds_the_truth(fitted):
         low, high = row.stroke_interval
         assert low * (1 - SAME) <= position * case.setup.length <= high * (1 + SAME)
         assert high < 1.05 * low
+    for name, value in (("x0/L", result.parameters.x0), ("width/L", result.parameters.width)):
+        np.testing.assert_allclose(result.invariants[name].interval, np.array(value.interval) / case.setup.length)
     assert result.parameters.width.status == "not-identifiable"
     assert "v_H0" not in result.parameters
     assert not result.fit.velocity_scale_open
@@ -192,6 +195,15 @@ def test_a_velocity_of_a_pluck_is_rejected():
 
 
 # --- a real guitar ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", ["strike", "pickup"])
+def test_a_position_from_the_farther_end_is_rejected(table):
+    """Its levels are those of the position from the nearer end, which the search has."""
+    case = draw(2, "magnetic-pickup", strokes=1)
+    setup = replace(case.setup, **{f"{table}_position": 0.6 * case.setup.length})
+    with pytest.raises(SetupError, match=rf"\[{table}\] position.*nearer end, {0.4 * case.setup.length:.3g} m"):
+        pianofit.fit(*case.recordings, setup=setup, progress=False)
 
 
 @pytest.mark.skipif(not GUITAR.is_dir(), reason=f"{GUITAR} is not there")

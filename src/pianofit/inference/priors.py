@@ -223,7 +223,19 @@ def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]
             f"[strike] width = {geometry.width:g} m does not fit on the string at {source} strike position, {at:.3g} m "
             f"of {geometry.length:.3g} m; correct width, position or [string] length"
         )
+    if not setup.law.has_contact:
+        _check_nearer_end("strike", setup.strike_position, geometry.length)
+        _check_nearer_end("pickup", setup.pickup_position, geometry.length)
     return geometry, assumed
+
+
+def _check_nearer_end(table: str, position: float | None, length: float) -> None:
+    """Reject a position that is not given from the nearer end of the string, as the search of plucks has it."""
+    if position is not None and position > 0.5 * length:
+        raise SetupError(
+            f"[{table}] position = {position:g} m lies beyond the middle of {length:.3g} m; give the distance from the "
+            f"nearer end, {length - position:.3g} m, or correct [string] length"
+        )
 
 
 def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:

@@ -38,11 +38,20 @@ def stroke_velocities(fit: InferenceResult, states: Statuses) -> list[Quantity]:
         scale = "its scale comes from the prior" if problem.velocity_scale_open else "scales with the assumed L"
         note, initial = scale if status == "scaled" else "", float(np.exp(fit.initial_theta[at]))
         quantity = Quantity(stroke.name, value, stroke.unit, None, status, stroke.meaning, note, initial)
-        interval = fit.posterior.value_interval(np.eye(u.size)[at], value, u.range(at))
-        if at == problem.reference_velocity_index:
-            interval = fit.alternative_interval(stroke.name) or interval
-        table.append(_with_interval(quantity, interval))
+        table.append(_with_interval(quantity, _stroke_interval(fit, at, value)))
     return table
+
+
+def _stroke_interval(fit: InferenceResult, at: int, value: float) -> Interval | None:
+    """The interval of the parameter of a stroke, the entry `at` of θ."""
+    name = fit.problem.parametrisation.law.stroke.name if at == fit.problem.reference_velocity_index else ""
+    return _own_interval(fit, name, at, value)
+
+
+def _own_interval(fit: InferenceResult, name: str, i: int, value: float) -> Interval | None:
+    """The interval of a parameter, entry `i` of θ: by a profile or a sampler if there is one, within its bounds."""
+    u = fit.problem.parametrisation
+    return fit.alternative_interval(name) or fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i))
 
 
 def parameters(fit: InferenceResult, states: Statuses, velocity: Quantity) -> Quantities:
@@ -65,9 +74,9 @@ def parameters(fit: InferenceResult, states: Statuses, velocity: Quantity) -> Qu
         # A fixed value is shown exactly as it was given.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         # An assumed value has no interval, although its part that scales with an uncertain length varies.
-        interval = fit.posterior.value_interval(np.eye(u.size)[i], value, u.range(i)) if u.free[i] else None
+        interval = _own_interval(fit, name, i, value) if u.free[i] else None
         quantity = Quantity(name, value, unit, None, status, meaning, note, float(start.initial[name]))
-        table[name] = _with_interval(quantity, fit.alternative_interval(name) or interval)
+        table[name] = _with_interval(quantity, interval)
     ordered = [table[name] for name in dict.fromkeys((*PARAMETER_ORDER, *table)) if name in table]
     return Quantities.of([*ordered, *(_size(fit, size) for size in sizes(start) if size.name not in table)])
 
@@ -112,9 +121,11 @@ def _places(fit: InferenceResult, states: Statuses) -> list[Quantity]:
         at = u.shared + stroke
         file = Path(problem.recordings[problem.structure.stroke.index(stroke)].path).name
         name = "x0/L" if at == problem.reference_velocity_index else f"x0/L {stroke + 1}"
-        value = float(np.exp(fit.posterior.mean[0, at])) / length
+        value = float(np.exp(fit.posterior.mean[0, at]))
         note = file if u.strokes > 1 else ""
-        quantity = _combined(name, fit.posterior, np.eye(u.size)[at] - over, value, "1", {"x0": state}, note)
+        quantity = _combined(name, fit.posterior, np.eye(u.size)[at] - over, value / length, "1", {"x0": state}, note)
+        if "L" not in u.sizes:
+            quantity = _with_interval(quantity, _over(_stroke_interval(fit, at, value), length))
         table.append(replace(quantity, meaning=f"{u.law.words.stroke} over string length"))
     table.sort(key=lambda quantity: quantity.name)
     return [*table, *(_ratio(fit, states, f"{n}/L", n, "L") for n in ("pickup", "width") if n in u.reported)]
@@ -153,19 +164,22 @@ def _ratio(
 ) -> Quantity:
     """The parameter `of` over `factor` times a size.
 
-    The interval is that of a profile or a sampler if there is one and the size is exact: a profile follows one
-    parameter, not a ratio. `derived_table` has the intervals of a sampler for uncertain sizes.
+    With an exact size the interval is that of the parameter. A profile follows one parameter, not a ratio, so with an
+    uncertain size it has none. `derived_table` has the intervals of a sampler for uncertain sizes.
     """
-    u, other = fit.problem.parametrisation, fit.alternative_interval(of)
-    divisor = factor * _size_value(fit, size)
-    value = float(np.exp(fit.posterior.mean[0, u.index_of(of)])) / divisor
+    u = fit.problem.parametrisation
+    i, divisor = u.index_of(of), factor * _size_value(fit, size)
+    value = float(np.exp(fit.posterior.mean[0, i]))
     below = dict(states.parameters)
     if below[of] == "given" and {"L": "length", "M_S": "mass"}[size] in fit.problem.initial_values.assumed:
         below[of] = "assumed"
-    quantity = _combined(name, fit.posterior, _unit(u, of) - _unit(u, size), value, unit, below)
-    if other is None or size in u.sizes:
-        return quantity
-    return _with_interval(quantity, replace(other, low=other.low / divisor, high=other.high / divisor))
+    quantity = _combined(name, fit.posterior, _unit(u, of) - _unit(u, size), value / divisor, unit, below)
+    return quantity if size in u.sizes else _with_interval(quantity, _over(_own_interval(fit, of, i, value), divisor))
+
+
+def _over(interval: Interval | None, divisor: float) -> Interval | None:
+    """The interval of a value over an exact divisor."""
+    return interval and replace(interval, low=interval.low / divisor, high=interval.high / divisor)
 
 
 def _static_force(fit: InferenceResult, states: Statuses, direction: np.ndarray) -> Quantity:

@@ -135,9 +135,9 @@ def _released(fit: InferenceResult, states: Statuses, levels: LevelErrors) -> st
 
 
 def _exchange(fit: InferenceResult) -> list[str]:
-    """A sentence on the symmetry of pickup and plucking position, if the position of the pickup is searched."""
+    """A sentence on the symmetry of pickup and plucking position, if the position of the pickup is not given."""
     u = fit.problem.parametrisation
-    if "pickup" not in u.reported or not u.free[u.index_of("pickup")]:
+    if "pickup" not in u.reported or not u.free[at := u.index_of("pickup")] or u.given[at]:
         return []
     if u.strokes == 1:
         return [

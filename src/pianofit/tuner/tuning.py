@@ -198,9 +198,9 @@ def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
     A mistuned unison splits all partials by the same number of cents. So the split is the median over partials. The
     beats alone give a first value. Partials count in which this split, but at least the preferred one, would be a
     measurable beat. One that does not beat counts as 0 cents, if such a beat would have been found. One with a mode at
-    its limit counts with that beat, although its strings can be farther apart. The interval is that of a median, from the
-    order of the ends of the partials' own intervals. Fewer than six partials determine none of 95 %, and a key with one
-    string has no unison.
+    its limit counts with that beat, although its strings can be farther apart. The interval is that of a median, from
+    the order of the ends of the partials' own intervals. Fewer than six partials determine none of 95 %, and a key with
+    one string has no unison.
     """
     decays = [] if response is None or round(typical_strings(midi)) < 2 else decays_and_beats(response)
     if not decays:
