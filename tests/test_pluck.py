@@ -197,6 +197,16 @@ def test_a_velocity_of_a_pluck_is_rejected():
 # --- a real guitar ----------------------------------------------------------------------------------------------------
 
 
+def test_a_wrong_position_is_told():
+    case = draw(2, "magnetic-pickup", strokes=1)
+    wrong = replace(case.setup, strike_position=3 * case.positions[0] * case.setup.length)
+    told = [
+        [line for line in pianofit.fit(*case.recordings, setup=setup, progress=False).warnings if "explain" in line]
+        for setup in (case.setup, wrong)
+    ]
+    assert [len(lines) for lines in told] == [0, 1]
+
+
 @pytest.mark.parametrize("table", ["strike", "pickup"])
 def test_a_position_from_the_farther_end_is_rejected(table):
     """Its levels are those of the position from the nearer end, which the search has."""

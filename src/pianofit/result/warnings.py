@@ -21,6 +21,9 @@ from .statuses import HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses
 
 # A recording whose level error exceeds that of the others by this factor is named.
 OUTLIER_FACTOR = 2.0
+# A model that leaves more than this, dB rms, explains no level: levels in a field of many overlapping modes scatter so
+# about their mean (Schroeder 1954).
+UNEXPLAINED_DB = 5.57
 # A second minimum is named if all but the best have at least this posterior weight together.
 MIN_OTHER_WEIGHT = 0.1
 # A faster stroke must be duller than a slower one by this many standard errors. In 55 pairs of neighbouring layers of
@@ -54,6 +57,7 @@ def fit_warnings(
         contradictory_velocities(fit) if problem.parametrisation.law.has_contact else [],
         literature_warnings(fit),
         _mixture_warning(fit),
+        unexplained_warnings([(_name(it.recording), it.levels.fitted_db) for it in compared]),
         outlier_warnings(problem, [recording.levels.fitted_db for recording in compared]),
         [NOT_MINIMISED.format(", ".join(worse))] if worse else [],
         _bound_warning(fit, states),
@@ -126,6 +130,15 @@ def _name_and_unit(u: Parametrisation, i: int) -> tuple[str, str]:
     if u.force_and_exponent_index and i == u.force_and_exponent_index[0]:
         return f"the {u.felt_force_name}", "N"
     return u.names[i], unit_of(u.names[i], u.law)
+
+
+def unexplained_warnings(errors: Sequence[tuple[str, float]]) -> list[str]:
+    """A warning about recordings whose levels the model does not explain; their names and errors after the fit, dB."""
+    unexplained = [f"{name} ({error:.1f} dB)" for name, error in errors if error > UNEXPLAINED_DB]
+    return [
+        f"The model does not explain the partial levels of {first_of(unexplained)}. Unrelated spectra differ by "
+        f"{UNEXPLAINED_DB:.1f} dB. Check the sizes and positions of the setup."
+    ] * bool(unexplained)
 
 
 def outlier_warnings(problem: FitProblem, errors: Sequence[float]) -> list[str]:
