@@ -199,7 +199,7 @@ def test_a_velocity_of_a_pluck_is_rejected():
 
 def test_a_wrong_position_is_told():
     case = draw(2, "magnetic-pickup", strokes=1)
-    wrong = replace(case.setup, strike_position=3 * case.positions[0] * case.setup.length)
+    wrong = replace(case.setup, strike_position=0.3 * case.setup.length)
     told = [
         [line for line in pianofit.fit(*case.recordings, setup=setup, progress=False).warnings if "explain" in line]
         for setup in (case.setup, wrong)
