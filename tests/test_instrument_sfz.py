@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -274,6 +275,17 @@ def test_keys_with_and_without_a_damper_have_samples_of_their_own():
         spans = dict(zip(keys, key_ranges(keys), strict=True))
         assert all((midi <= LAST_DAMPER) == (high <= LAST_DAMPER) for midi, (_, high) in spans.items())
         assert all((midi <= LAST_DAMPER) == (low <= LAST_DAMPER) for midi, (low, _) in spans.items())
+
+
+@pytest.mark.parametrize("only", [LAST_DAMPER, LAST_DAMPER + 3])
+def test_each_key_of_one_sample_has_its_own_damper(piano, tmp_path, only):
+    content = load_instrument(piano / "instrument.json")
+    summary = export_sampler(content, tmp_path / "out", [only], SHORT)
+    text = next((tmp_path / "out").glob("*.sfz")).read_text()
+    groups = re.findall(r"<group>.*lokey=(\d+) hikey=(\d+) .*?(loop_mode|ampeg_release)", text)
+    damped = {key: end == "ampeg_release" for low, high, end in groups for key in range(int(low), int(high) + 1)}
+    assert damped == {key: key <= LAST_DAMPER for key in range(only - 6, only + 7)}
+    assert summary.transposed == 12
 
 
 def test_every_third_key_leaves_no_key_out():

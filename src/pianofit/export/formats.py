@@ -39,7 +39,7 @@ SAMPLERS = {
 def readme_text(instrument: Instrument, file: str, content: SamplerContent, licence: str | None) -> str:
     """Text of README.txt. Names and words from the user are escaped, so that each stays on one line."""
     name, keys = printable(instrument.name) or "An instrument", content.keys
-    sampled = [key.midi for key in keys]
+    sampled = [*dict.fromkeys(key.midi for key in keys)]
     unrecorded = instrument.unrecorded(sampled)
     transposed = played_keys(keys) - {*sampled}
     changed = {*instrument.changed} & {*sampled}

@@ -23,6 +23,7 @@ from ..io.containers import RATES
 from ..io.files import as_path, cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..io.number_format import first_of
 from ..playback.voice import CHANNELS, StringVoice
+from ..schema.dampers import LAST_DAMPER
 from ..threads import numerical_settings
 from .formats import EXPORT_MARK, SAMPLERS, readme_text
 from .layers import (
@@ -222,13 +223,13 @@ def _write_samples(
     writer = _Writer(instrument, work, 10 ** (options.peak_db / 20) / peak if peak > 0 else 1.0, options)
     sampled_keys = []
     for i, (key, span, pair) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
-        sampled_keys.append(writer.key(key, span, pair))
+        sampled_keys += writer.key(key, span, pair)
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     releases = writer.releases(release, noises, sorted(played_keys(sampled_keys))) if release else []
     summary = ExportSummary(
         keys=len(keys),
         unrecorded=len(instrument.unrecorded(keys)),
-        transposed=sum(key.high - key.low for key in sampled_keys),
+        transposed=len(played_keys(sampled_keys)) - len(keys),
         samples=writer.samples,
         seconds=writer.frames / options.rate,
         bytes=writer.bytes,
@@ -256,12 +257,21 @@ class _Writer:
         self.instrument, self.work, self.gain, self.options = instrument, work, gain, options
         self.samples, self.frames, self.bytes = 0, 0, 0
 
-    def key(self, midi: int, span: tuple[int, int], measured: Sequence[KeySamples]) -> SampledKey:
-        """Write the samples of a key: strokes without and with the left pedal, and the resonance."""
+    def key(self, midi: int, span: tuple[int, int], measured: Sequence[KeySamples]) -> list[SampledKey]:
+        """Write the samples of a key: strokes without and with the left pedal, and the resonance.
+
+        Keys with and without a damper that play the same samples have entries of their own.
+        """
         string = StringVoice(self.instrument.note(midi, 64), midi, self.options.rate)
         strokes = [self._strokes(string, layers, float(soft)) for soft, layers in enumerate(measured)]
         resonance = self._resonance(string, measured[0]) if self.options.resonance else None
-        return SampledKey(midi, *span, self.instrument.dampers.rate(midi), *strokes, resonance=resonance)
+        parts = [(span[0], min(span[1], LAST_DAMPER)), (max(span[0], LAST_DAMPER + 1), span[1])]
+        rate = self.instrument.dampers.rate
+        return [
+            SampledKey(midi, low, high, rate(min(max(midi, low), high)), *strokes, resonance=resonance)
+            for low, high in parts
+            if low <= high
+        ]
 
     def releases(
         self, release: ReleaseNoise, noises: Mapping[int, np.ndarray], played: Sequence[int]
