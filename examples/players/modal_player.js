@@ -4,8 +4,9 @@
 export function play(document, midi, velocity, seconds) {
   const key = document.keys.find((key) => key.midi === midi), { rate, lead } = document;
   const count = Math.floor(seconds * rate), late = document.knock_lead - lead; // the knock begins before the force
-  const bytes = Uint8Array.from(atob(key.knock), (letter) => letter.charCodeAt(0));
-  const knock = new Int16Array(bytes.buffer), length = knock.length / key.pattern.length;
+  const decode = (text) => new Int16Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+  const knock = decode(key.knock), changes = decode(key.knock_changes), channels = key.pattern.length;
+  const length = knock.length / channels;
   const above = key.forces.find((force) => force.midi_velocity >= velocity) ?? key.forces.at(-1);
   const below = key.forces.findLast((force) => force.midi_velocity <= velocity) ?? key.forces[0];
   const part = (velocity - below.midi_velocity) / Math.max(above.midi_velocity - below.midi_velocity, 1);
@@ -22,9 +23,15 @@ export function play(document, midi, velocity, seconds) {
           sound[c][late + n] += re * x - im * y;
         }
       });
+      const own = Float64Array.from(knock.subarray(c * length, (c + 1) * length), (x) => key.knock_scale * x);
+      const strokes = force.knock_change, size = changes.length / (strokes.length * channels) || 0;
+      strokes.forEach((partOf, i) => {
+        for (let n = 0; n < size; n++)
+          own[document.knock_lead + n] += partOf * key.knock_changes_scale * changes[(i * channels + c) * size + n];
+      });
       force.impulses.forEach((impulse, n) => {
         for (let k = Math.max(lead - n, 0); k < length && n + k - lead < count; k++)
-          sound[c][n + k - lead] += share * impulse * key.knock_scale * knock[c * length + k];
+          sound[c][n + k - lead] += share * impulse * own[k];
       });
     });
   }

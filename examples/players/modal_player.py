@@ -19,9 +19,6 @@ def play(document, midi, velocity, seconds):
     """Sound of one stroke at a MIDI velocity: lists of samples, one a channel."""
     key = next(key for key in document["keys"] if key["midi"] == midi)
     rate, count, modes = document["rate"], int(seconds * document["rate"]), key["modes"]
-    raw = base64.b64decode(key["knock"])
-    knock = [key["knock_scale"] * x for x in struct.unpack(f"<{len(raw) // 2}h", raw)]
-    length = len(knock) // len(key["pattern"])
     forces = key["forces"]
     above = next((f for f in forces if f["midi_velocity"] >= velocity), forces[-1])
     below = next((f for f in reversed(forces) if f["midi_velocity"] <= velocity), forces[0])
@@ -38,12 +35,30 @@ def play(document, midi, velocity, seconds):
                 for n in range(count - late):
                     state = state * turn + (force["impulses"][n] if n < len(force["impulses"]) else 0.0)
                     channel[late + n] += (weight * state).real
-        for c, channel in enumerate(sound):
+        for channel, knock in zip(sound, knocks(key, force, document["knock_lead"]), strict=True):
             for n, impulse in enumerate(force["impulses"]):
-                for k in range(min(length, count - n + document["lead"])):
+                for k in range(min(len(knock), count - n + document["lead"])):
                     if n + k >= document["lead"]:
-                        channel[n + k - document["lead"]] += share * impulse * knock[c * length + k]
+                        channel[n + k - document["lead"]] += share * impulse * knock[k]
     return sound
+
+
+def knocks(key, force, lead):
+    """Knock of a stroke: that of the key, changed from the touch on; lists of samples, one a channel."""
+    found = decode(key["knock"], key["knock_scale"], len(key["pattern"]))
+    shares = force["knock_change"]
+    changes = decode(key["knock_changes"], key["knock_changes_scale"], len(shares) * len(found))
+    for i, change in enumerate(changes):
+        knock = found[i % len(found)]
+        for n, x in enumerate(change):
+            knock[lead + n] += shares[i // len(found)] * x
+    return found
+
+
+def decode(text, scale, rows):
+    """Lists of numbers, one a row, of base64 of 16 bit integers."""
+    numbers = [scale * x for (x,) in struct.iter_unpack("<h", base64.b64decode(text))]
+    return [numbers[i * len(numbers) // rows : (i + 1) * len(numbers) // rows] for i in range(rows)]
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Export to modal JSON: modes, patterns, knocks and forces of every key, for engines that play modes.
 
-    sound(t) = F(t) ∗ (Re Σ_m g_m(v) P_m e^{p_m t} + knock(t))
+    sound(t) = F(t) ∗ (Re Σ_m g_m(v) P_m e^{p_m t} + knock(t, v))
 
 A program that reads it needs a resonator a mode and a short convolution. `examples/players/modal_player.py` and
-`examples/players/modal_player.js` are such programs, of some 30 lines.
+`examples/players/modal_player.js` are such programs, of some 40 lines.
 """
 
 import os
@@ -18,6 +18,7 @@ from ..instrument import Instrument
 from ..io.files import replace_file
 from ..model.modal_response import FILTER_REACH, PRE_ONSET_S, ModalResponse
 from ..model.note import Note
+from ..model.output_path import at_velocity
 from ..playback.cached_strike import StringTables, strike_string, string_tables
 from ..schema.decode import encode_json
 from ..schema.modes_file import ForceEntry, ModeColumns, ModesFile, ModesKey, integers
@@ -94,7 +95,6 @@ def _key(instrument: Instrument, midi: int) -> ModesKey:
     table = string_tables(note, RATE)
     measured = note.modal_response
     response = _string_response(note, table) if measured is None else measured.scale_gain(note.gain).at(RATE)
-    knock, scale = integers(response.knock)
     return ModesKey(
         midi,
         midi_to_note(midi),
@@ -106,8 +106,8 @@ def _key(instrument: Instrument, midi: int) -> ModesKey:
             _rounded(instrument.dampers.rates(midi, np.imag(response.pole) / (2 * np.pi))),
         ),
         _rounded(np.stack([np.real(response.pattern), np.imag(response.pattern)], axis=1)),
-        knock,
-        scale,
+        *integers(response.knock),
+        *integers(response.knock_changes()),
         tuple(_force(instrument, midi, velocity, table, response) for velocity in VELOCITIES),
         _numbers(note.string, note.geometry),
         {name: x for name, x in _numbers(note.hammer).items() if name != law_of(note.hammer).size},
@@ -122,6 +122,8 @@ def _force(
     _, force = strike_string(table, instrument.note(midi, velocity).hammer, f"key {midi}")
     gain = response.velocity_gain
     factor = np.ones(len(response.pole), complex) if gain is None else gain.at(force.velocity)
+    strokes = len(response.knock_changes())
+    share = at_velocity(gain.velocity, np.eye(strokes), force.velocity) if gain and strokes else np.zeros(0)
     amplitude = np.abs(response.pattern * factor * force.drive(response.pole))
     return ForceEntry(
         velocity,
@@ -130,6 +132,7 @@ def _force(
         _rounded(force.at(RATE)),
         _rounded(np.stack([np.real(factor), np.imag(factor)])),
         _rounded(20 * np.log10(np.linalg.norm(amplitude, axis=0) + 1e-30)),
+        _rounded(share),
     )
 
 

@@ -183,20 +183,26 @@ class ModalResponse(NamedTuple):
         return knock
 
     def attack_noise(self, velocity: float) -> np.ndarray:
-        """Return the knock of a stroke, per unit of its force [channels, samples].
+        """Return the knock of a stroke, per unit of its force [channels, samples]."""
+        lead, part, changes = round(PRE_ONSET_S * self.rate), self.velocity_gain, self.knock_changes()
+        if part is None or not changes.size:
+            return self.knock
+        out = self.knock.copy()
+        out[:, lead : lead + changes.shape[-1]] += at_velocity(part.velocity, changes, velocity)
+        return out
+
+    def knock_changes(self) -> np.ndarray:
+        """Return what the strokes of the velocity gain add to the knock, from the touch [strokes, channels, samples].
 
         The knock cancels the static deflection of the modes at a velocity gain of 1. At another gain this deflection
-        changes, so its cancellation is corrected here.
+        changes, and so does its cancellation.
         """
         lead, part = round(PRE_ONSET_S * self.rate), self.velocity_gain
         if part is None or self.knock.shape[-1] <= lead:
-            return self.knock
+            return np.zeros((0, self.channels, 0))
         excess = self.pattern * (part.factor[:, None] - 1)
         size = min(int(np.ceil(MAX_DECAY_EXPONENT * self.rate / np.abs(self.pole).min())), self.knock.shape[-1] - lead)
-        corrections = _static_corrections(self.pole.tobytes(), excess.tobytes(), excess.shape, self.rate, size)
-        out = self.knock.copy()
-        out[:, lead : lead + size] += at_velocity(part.velocity, corrections, velocity)
-        return out
+        return _static_corrections(self.pole.tobytes(), excess.tobytes(), excess.shape, self.rate, size)
 
     def strike_response(self, force: ForcePulse, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Compute the state of the modes after a stroke, and the sound up to then, at the `rate` of this response.

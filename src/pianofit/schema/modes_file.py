@@ -29,6 +29,7 @@ class ForceEntry:
     impulses: np.ndarray  # N s in each sample [samples]
     gain: np.ndarray  # [2, modes]: real and imaginary part of the velocity gain
     level_db: np.ndarray  # amplitude of each mode at the touch, of all channels, dB re full scale [modes]
+    knock_change: np.ndarray  # share of each of the key's `knock_changes` in the knock of this stroke [strokes]
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class ModesKey:
     pattern: np.ndarray  # [channels, 2, modes]: real and imaginary part, file units per N s
     knock: str  # base64 of 16 bit integers, little endian, channels after each other
     knock_scale: float  # file units per N s and integer
+    knock_changes: str  # as `knock` from the touch on, strokes after each other: what is added to it
+    knock_changes_scale: float
     forces: tuple[ForceEntry, ...]  # by ascending MIDI velocity
     string: dict[str, float]  # SI units
     hammer: dict[str, float]
@@ -65,6 +68,6 @@ class ModesFile:
 
 
 def integers(sound: np.ndarray) -> tuple[str, float]:
-    """Return a sound [channels, samples] as base64 of 16 bit integers, and their scale."""
+    """Return a sound [..., samples] as base64 of 16 bit integers, and their scale."""
     scale = float(np.abs(sound).max(initial=0.0)) / (2**15 - 1) or 1.0
     return base64.b64encode(np.round(sound / scale).astype("<i2").tobytes()).decode(), scale
