@@ -90,7 +90,7 @@ def export(
             sampled = fill_gaps(chosen) if fill else chosen
             summary = export_sampler(loaded, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampler_summary(summary, sorted({*sampled} - {*chosen}))
-    print_result(summary._asdict(), f"{out}: {words}", as_json)
+    print_result(summary._asdict(), f"{printable(out)}: {words}", as_json)
 
 
 def _given(ctx: typer.Context, names: Sequence[str]) -> list[str]:

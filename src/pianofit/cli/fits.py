@@ -144,7 +144,7 @@ def fit(
             result = fit_by_paper(recordings[0], **given, method=method, evaluations=evaluations)
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    print_result(result.fit, f"{result.summary()}\nwritten to {folder}\n", as_json)
+    print_result(result.fit, f"{result.summary()}\nwritten to {printable(folder)}\n", as_json)
 
 
 def _check_method(method: str, evaluations: int | None, intervals: str, recordings: int) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..io.files import check_target, encode_pcm, output_folder, replace_file
+from ..io.files import check_target, encode_pcm, output_folder, printable, replace_file
 from ..io.number_format import counted
 from ..progress import progress_bar
 from . import options
@@ -41,7 +41,7 @@ def instrument(
         record = write_instrument(folder / INSTRUMENT_FILE, built)
         if page:
             write_page(folder / "instrument.html", built)
-    print_result(record, f"{built.summary()}\nwritten to {out}\n", as_json)
+    print_result(record, f"{built.summary()}\nwritten to {printable(out)}\n", as_json)
 
 
 def play(
@@ -108,7 +108,7 @@ def _play_summary(out: Path, info: dict[str, Any]) -> str:
     remarks = "".join(f"{remark}\n" for remark in info["remarks"])
     remarks += f"{counted(info['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if info["notes_beyond"] else ""
     return remarks + (
-        f"{out}: {info['seconds']:.1f} s at {info['rate']} Hz, {counted(info['notes'], 'note')}, "
+        f"{printable(out)}: {info['seconds']:.1f} s at {info['rate']} Hz, {counted(info['notes'], 'note')}, "
         f"{info['on_moving_strings']} of them on a string still sounding{attenuated}{limited}\n"
         f"computed in {info['computed_in_s']:.1f} s, {info['real_time_factor']:.2g} s for each second of sound\n"
     )
@@ -158,6 +158,6 @@ def _page_summary(info: dict[str, Any], guesses: str) -> str:
     knocks = "" if error is None else f"; knocks within {error:.0f} dB of their notes"
     knocks += f"; {counted(info['layers'], 'recording')} next to them" if info["layers"] else ""
     return (
-        f"{info['file']}: {counted(info['keys'], 'key')}, {info['recorded']} of them recorded; "
+        f"{printable(info['file'])}: {counted(info['keys'], 'key')}, {info['recorded']} of them recorded; "
         f"{guesses}{knocks}; {info['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

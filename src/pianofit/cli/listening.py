@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
-from ..io.files import output_folder
+from ..io.files import output_folder, printable
 from ..io.number_format import counted
 from ..parameters import check_seed
 from .options import Force, Json, Seed, flag, integer, real, text
@@ -60,7 +60,8 @@ def listen(
         print_error(f"left out, not in all folders: {', '.join(test.alone)}")
     typer.echo(f"{counted(test.trials, 'question')} about {counted(len(test.names), 'sound')}: {', '.join(test.names)}")
     typer.echo(
-        f"written to {folder}: give listen.html to listeners; key.json has the answers; webmushra/ is for webMUSHRA"
+        f"written to {printable(folder)}: give listen.html to listeners; key.json has the answers; "
+        "webmushra/ is for webMUSHRA"
     )
 
 

@@ -7,6 +7,7 @@ interrupted.
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from ..errors import check_range
-from ..io.files import DISK_FULL, encode_wav, output_folder, replace_file
+from ..io.files import DISK_FULL, encode_wav, output_folder, printable, replace_file
 from ..io.number_format import format_like, format_with_interval
 from ..parameters import check_seed
 from ..progress import progress_bar
@@ -87,9 +88,9 @@ def demo(
         progress("page", 0.95)
         result.save(folder, force=True)
     words = (
-        f"{_true_and_fitted(result, synthetic.true)}\n{result.summary()}\nwritten to {folder}\n"
-        f"the page is {folder / 'report.html'}; the same fit from its files:\n"
-        f"pianofit fit {folder / 'synthetic.wav'} --setup {folder / 'setup.toml'} --out another\n"
+        f"{_true_and_fitted(result, synthetic.true)}\n{result.summary()}\nwritten to {printable(folder)}\n"
+        f"the page is {printable(folder / 'report.html')}; the same fit from its files:\n"
+        f"pianofit fit {printable(folder / 'synthetic.wav')} --setup {printable(folder / 'setup.toml')} --out another\n"
     )
     print_result(result.to_dict() | {"true": synthetic.true}, words, as_json)
 
@@ -170,12 +171,20 @@ def _fill_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, that of this stream
 
 
+def _replace_unencodable() -> None:
+    """Write characters that an output stream cannot encode as question marks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
 def run() -> NoReturn:
     """Run `main` and end the process, without a final garbage collection."""
     _fill_streams()
     if sys.stdout is None:
         print_error("standard output is closed; send it to a file, or to /dev/null")
         sys.exit(1)
+    _replace_unencodable()
     gc.set_threshold(COLLECTED, *gc.get_threshold()[1:])
     code = main()
     gc.freeze()

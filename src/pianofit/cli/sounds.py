@@ -69,13 +69,14 @@ def simulate(
     string, hammer, geometry = _apply_changes(_load_preset(preset, note), change, velocity)
     geometry = _apply_positions(geometry, quantity, strike, pickup)
     sizes = {"rate": rate, "seconds": seconds, "quantity": quantity, "scale": scale, "noise_db": noise_db, "seed": seed}
-    recording = synthetic_recording(string, hammer, geometry, **sizes, name=out.name)
+    name = out.name.encode(errors="backslashreplace").decode()  # the setup is UTF-8
+    recording = synthetic_recording(string, hammer, geometry, **sizes, name=name)
     replace_file(out, encode_wav(recording.samples, rate))
     if setup_out is not None:
         replace_file(setup_out, recording.setup_text.encode())
     largest = float(recording.simulation.pulse.force.max())
     typer.echo(
-        f"{out}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
+        f"{printable(out)}: {seconds:g} s, largest force {largest:.3g} N, {contact_text(recording.simulation)}, "
         f"full scale {recording.scale:.4g} {TRANSDUCERS[quantity].unit}"
     )
 
@@ -158,7 +159,7 @@ def render(
     replace_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate))
     scaled = f", multiplied by {gain:.3g} to stay below full scale" if gain < 1 else ""
     contact = f", {contact_text(strike)}" if strike.contacts else ""
-    typer.echo(f"{out}: {seconds:g} s at {stroke}{contact}{scaled}")
+    typer.echo(f"{printable(out)}: {seconds:g} s at {stroke}{contact}{scaled}")
 
 
 def _with_stroke(note: Note, velocity: float | None, position: float | None) -> tuple[Note, str]:

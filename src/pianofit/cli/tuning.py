@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from ..conversions import A4
-from ..io.files import output_folder
+from ..io.files import output_folder, printable
 from .options import Force, Json, Prefix, choice, real, text
 from .terminal import print_result
 
@@ -43,5 +43,5 @@ def tuning(
         found = measure(paths, **options)
         if folder is not None:
             write_tuning(folder, found)
-    written = "" if out is None else f"written to {out}\n"
+    written = "" if out is None else f"written to {printable(out)}\n"
     print_result(found, tuning_summary(found) + written, as_json)
