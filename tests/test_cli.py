@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,11 +25,14 @@ from report_cases import example_fit
 
 from pianofit import ExportOptions, NoteOptions, PlayOptions
 from pianofit.cli import app, main
+from pianofit.errors import OutputError
 from pianofit.instrument import write_instrument
-from pianofit.io.files import PEAK_LIMIT
+from pianofit.io.files import PEAK_LIMIT, output_folder, replace_file
+from pianofit.io.table_output import write_csv
 from pianofit.literature import PRESETS, preset
 from pianofit.mend import MendOptions
 from pianofit.report.summary import _recording_line
+from pianofit.schema.decode import encode_json
 
 PROGRAM = (sys.executable, "-m", "pianofit")
 AS_PROCESSES = ("audio-truncated", "fit-velocity-word", "demo-out-not-empty")
@@ -162,6 +166,56 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path, capsys, nu
     assert errors == "pianofit: interrupted; nothing more is written\n"
     assert output == ""
     assert [p.name for p in tmp_path.iterdir()] == ["note.wav"]
+
+
+def test_an_interrupt_during_imports_is_one_line():
+    """The import of a package sends the signal."""
+    program = (
+        "import os, signal, sys, pianofit.__main__ as entry\n"
+        "class Finder:\n    def find_spec(self, name, *_):\n"
+        "        if name == 'typer':\n            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\nsys.argv[1:] = ['--version']\nentry.run()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "pianofit: interrupted; nothing more is written\n"
+
+
+@pytest.mark.parametrize("failure", [OutputError("the disk is full"), KeyboardInterrupt()])
+def test_a_failed_run_removes_its_own_files_from_a_new_folder(tmp_path, failure):
+    out = tmp_path / "runs" / "out"
+
+    def fail(force: bool = False) -> None:
+        with suppress(type(failure)), output_folder(out, force) as folder:
+            (folder / "sub").mkdir(exist_ok=True)
+            replace_file(folder / "sub" / ("n" * 255), b"")  # names may be as long as the file system allows
+            if force:
+                (folder / "theirs").touch()
+            raise failure
+
+    fail()
+    assert not [*tmp_path.iterdir()]
+    out.mkdir(parents=True)
+    fail(force=True)
+    assert [path.name for path in out.iterdir()] == ["theirs"]
+    fail(force=True)  # the folder was not empty
+    assert (out / "sub").is_dir()
+
+
+def test_names_that_utf8_does_not_encode_are_escaped(tmp_path):
+    assert json.loads(encode_json({"file": "n\udcff\n.wav"})) == {"file": "n\\udcff\n.wav"}
+    write_csv(tmp_path / "t.csv", ["file"], [["n\udcff.wav"]])
+    assert (tmp_path / "t.csv").read_text() == "file\nn\\udcff.wav\n"
+
+
+def test_a_terminal_that_cannot_show_a_name_shows_a_question_mark(tmp_path):
+    out = tmp_path / "a→b\nc.wav"
+    command = ["simulate", "--preset", "bensa-final", "--seconds", "0.1", "--out", str(out)]
+    done = subprocess.run([*PROGRAM, *command], capture_output=True, env=os.environ | {"PYTHONIOENCODING": "cp1252"})
+    assert done.returncode == 0, done.stderr
+    assert b"a?b\\nc.wav: 0.1 s" in done.stdout
+    assert done.stdout.count(b"\n") == 1
+    assert out.is_file()
 
 
 def test_a_reader_that_has_had_enough_is_no_error(tmp_path):

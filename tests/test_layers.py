@@ -69,7 +69,7 @@ USES = {
     "cli": "analysis batch bensa2005 dataset excitation export felt fitting instrument io library listening literature"
     " mend model parameters playback program_folder progress recording report result schema setup synthetic threads"
     " transducer tuner web",
-    "__main__": "cli",
+    "__main__": "cli io",
 }
 EVERYWHERE = {"conversions", "errors"}
 # Files that import modules by name: public names, felt laws, optional packages, calls of `deferred.TARGETS`.

@@ -335,3 +335,11 @@ def test_fitted_sounds_have_different_names(stems):
     from pianofit.report.save import stroke_names
 
     assert len({*stroke_names(stems)}) == len(stems)
+
+
+def test_fitted_sounds_have_names_that_file_systems_accept():
+    from pianofit.report.save import stroke_names
+
+    names = stroke_names(["ü" * 125 + "soft", "ü" * 125 + "loud", "\udcff"])
+    assert len({*names}) == 3
+    assert max(len(name.encode()) for name in names) <= 255

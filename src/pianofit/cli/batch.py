@@ -36,14 +36,15 @@ NAMED = 4  # running keys on a progress line
 
 @contextlib.contextmanager
 def _resumable() -> Iterator[None]:
-    """Treat SIGTERM as an interruption, and add to its message how to continue."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """Raise Ctrl-C and SIGTERM as an exception, because workers must end, and say how to continue."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt("finished keys are kept; run the same command to continue") from None
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def batch(

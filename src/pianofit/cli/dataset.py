@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from ..errors import ParameterError
-from ..io.files import cleanup_on_interrupt, printable
+from ..io.files import printable
+from ..io.interrupts import cleanup_on_interrupt
 from ..io.number_format import counted
 from . import options
 from .options import choice, flag, integer, one_or_range, parse_as, process_count, real, text

@@ -20,7 +20,8 @@ from ..errors import OutputError, ParameterError, check_range
 from ..instrument import Instrument
 from ..instrument.release_noise import RECORDED_VELOCITY, ReleaseNoise
 from ..io.containers import RATES
-from ..io.files import as_path, cleanup_on_interrupt, encode_pcm, printable, write_error
+from ..io.files import as_path, encode_pcm, printable, temporary_path, write_error
+from ..io.interrupts import cleanup_on_interrupt
 from ..io.number_format import first_of
 from ..playback.voice import CHANNELS, StringVoice
 from ..schema.dampers import LAST_DAMPER
@@ -114,7 +115,7 @@ def export_sampler(
     try:
         out = as_path(out).resolve()
         _check_target(out, force)
-        work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+        work = temporary_path(out)
         old = work.with_suffix(".old")
 
         def clean_up() -> None:
@@ -175,8 +176,12 @@ def _check_target(out: Path, force: bool) -> None:
     name = printable(out)
     if not out.parent.is_dir():
         raise OutputError(f"{name}: folder {printable(out.parent)} does not exist; create it, or choose another --out")
+    if not os.access(out.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{name}: folder {printable(out.parent)} is not writable; choose another --out")
     if not out.exists():
         return
+    if out.is_mount() or Path.cwd().is_relative_to(out):
+        raise OutputError(f"{name}: holds the working folder or is a mount point; choose a new folder in it as --out")
     has_files = out.is_dir() and any(out.iterdir())
     if not out.is_dir() or (has_files and not _is_export(out)):
         raise OutputError(f"{name}: exists and is not an export; choose another --out")

@@ -10,32 +10,34 @@ import io
 import json
 import os
 import re
-import signal
 import stat
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ..errors import OutputError, ParameterError, PianofitError, check_range, check_type
+from .interrupts import UNFINISHED, cleanup_on_interrupt
 
 # The header of a WAV file has 32 bits for the rate, and 32 for the bytes of a second.
 HIGHEST_RATE = 10_000_000  # Hz
-# Most characters that a name takes over from a text: file systems allow 255 bytes for several such parts.
+# Most bytes that a part of a name takes over from a text, because file systems allow 255 bytes for several such parts.
 LONGEST_NAME = 60
+# Most bytes of the name of a given file in that of another: file systems allow 255 with what is added before and after.
+LONGEST_STEM = 230
+# Bytes of file names that are not UTF-8, as Python has them. UTF-8 cannot encode them.
+_NOT_UTF8 = re.compile("[\ud800-\udfff]")
 MAX_CHANNELS = 8
 # Peak of sounds for listening, full scale = 1. -1 dB leaves headroom for players that resample.
 PEAK_LIMIT = 10 ** (-1 / 20)
 # Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-# Signals that end a command. Windows has no SIGHUP.
-_ENDS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-_CLEANUPS: list[Callable[[], None]] = []  # of all blocks of `cleanup_on_interrupt`, the innermost last
 _FOLDERS: set[Path] = set()  # that this process holds
+_WRITTEN: list[set[Path]] = []  # files of each block of `output_folder` that began with an empty folder
 
 
 def printable(text: object) -> str:
@@ -113,15 +115,24 @@ def short_repr(value: Any) -> str:
 def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
     """Write `content` to `path` atomically. If that fails, raise an `OutputError` and leave no temporary file."""
     target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary = temporary_path(target)
+    UNFINISHED.add(temporary)
+    for written in _WRITTEN:
+        written.add(target)
     try:
         try:
             temporary.write_bytes(content)
             temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)
+            UNFINISHED.discard(temporary)
     except OSError as error:
         raise write_error(target, error, "choose a folder that exists and is writable") from error
+
+
+def temporary_path(target: Path) -> Path:
+    """Return a path for the unfinished content of a file or folder. Its name fits where that of the target does."""
+    return target.with_name(f".{threading.get_ident()}.{os.getpid()}.tmp")
 
 
 def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> OutputError:
@@ -133,6 +144,8 @@ def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> Outp
 @contextlib.contextmanager
 def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
     """Create an output folder if needed, hold it, and remove it again if it stays empty.
+
+    If the block fails, its files are removed from a folder that was empty, so that the same command can run again.
 
     With `force`, the files of an earlier result that its `listing` names, a CSV with the column `file`, are removed at
     the end, except those of the new one.
@@ -149,18 +162,25 @@ def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{name}: cannot create the folder ({error.strerror}); choose another --out") from None
 
+    written: set[Path] = set()
+
     def cleanup() -> None:
-        for unfinished in path.glob(f".*.{os.getpid()}.tmp"):
-            unfinished.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # rmdir removes only empty folders
-            for folder in created:
+        inside = [file for file in written if file.is_relative_to(path)]
+        for file in inside:
+            with contextlib.suppress(OSError):
+                file.unlink(missing_ok=True)
+        folders = {folder for file in inside for folder in file.parents if folder.is_relative_to(path)} - {path}
+        for folder in [*sorted(folders, reverse=True), *created]:
+            with contextlib.suppress(OSError):  # rmdir removes only empty folders
                 folder.rmdir()
 
     with cleanup_on_interrupt(cleanup), _held(path):
         try:
             if not os.access(path, os.R_OK | os.W_OK | os.X_OK):
                 raise OutputError(f"{name}: the folder is not writable; choose another --out")
-            if next(path.iterdir(), None) is not None and not force:
+            if next(path.iterdir(), None) is None:
+                _WRITTEN.append(written)
+            elif not force:
                 raise OutputError(
                     f"{name}: the folder is not empty; give another, or force=True to replace a result in it"
                 )
@@ -170,7 +190,9 @@ def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
                 stale.unlink(missing_ok=True)
                 with contextlib.suppress(OSError):
                     stale.parent.rmdir()
+            written.clear()
         finally:
+            _WRITTEN[:] = [other for other in _WRITTEN if other is not written]
             cleanup()
 
 
@@ -233,42 +255,6 @@ def locked(lock: Path, busy: str) -> Iterator[None]:
         raise OutputError(message) from None
 
 
-@contextlib.contextmanager
-def cleanup_on_interrupt(cleanup: Callable[[], None]) -> Iterator[None]:
-    """Make Ctrl-C, SIGTERM and SIGHUP call `cleanup`, and that of each enclosing block, and exit immediately.
-
-    The exit status is 128 and the number of the signal. A SIGHUP or SIGTERM that is ignored, as by nohup, stays so, and
-    so does a handler that is not Python's. Shells ignore SIGINT in background jobs, but a SIGINT that is sent to one is
-    meant.
-
-    An exception would unwind through the compiler, or end Python while the compiler runs in another thread. Both crash
-    the process.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    _CLEANUPS.append(cleanup)
-    before = {number: handler for number in _ENDS if (handler := signal.getsignal(number)) is not None}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN or number == signal.SIGINT:
-            signal.signal(number, _stop)
-    try:
-        yield
-    finally:
-        _CLEANUPS.pop()
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _stop(number: int, *_: object) -> None:
-    """Clean up and exit."""
-    for cleanup in reversed(_CLEANUPS):
-        cleanup()
-    cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
-    os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
-    os._exit(128 + number)
-
-
 def check_target(path: Path, force: bool, *endings: str) -> None:
     """Raise an `OutputError` if a file cannot be written, before its content is computed.
 
@@ -289,8 +275,13 @@ def check_target(path: Path, force: bool, *endings: str) -> None:
 
 
 def safe_name(text: str) -> str:
-    """Return a text as part of a file name that every file system accepts, at most `LONGEST_NAME` characters."""
-    return re.sub(r"[^\w.]+", "-", text).strip("-.")[:LONGEST_NAME]
+    """Return a text as part of a file name that every file system accepts, at most `LONGEST_NAME` bytes."""
+    return shortened(re.sub(r"[^\w.]+", "-", text).strip("-."), LONGEST_NAME)
+
+
+def shortened(text: str, size: int) -> str:
+    """Return the first characters of a text, at most `size` bytes in UTF-8."""
+    return text.encode()[:size].decode(errors="ignore")
 
 
 def check_ending(path: str | os.PathLike[str], *endings: str) -> None:
@@ -300,12 +291,13 @@ def check_ending(path: str | os.PathLike[str], *endings: str) -> None:
 
 
 def json_text(document: dict) -> str:
-    """Return `document` as standard JSON, without NaN and infinity."""
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    """Return `document` as standard JSON in UTF-8, without NaN and infinity. Other bytes are as in `printable`."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return _NOT_UTF8.sub(lambda byte: "\\" + printable(byte[0]), text)
 
 
-def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """Encode a WAV file of 32 bit floats, without rounding and without clipping above full scale.
+def encode_wav(samples: np.ndarray, rate: int, *, bits: Literal[32, 64] = 32) -> bytes:
+    """Encode a WAV file of floats, without clipping above full scale.
 
     libsndfile is not used, because it writes the current time into such files. Here equal sounds give equal bytes.
 
@@ -313,6 +305,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     ----------
     samples : [samples] or [channels, samples], ±1 = full scale.
     rate : Hz.
+    bits : size of a float. A size of 64 bits needs no rounding.
 
     Returns
     -------
@@ -331,6 +324,8 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     """
     check_type("rate=", rate, Integral, "a whole number of Hz, such as 44100")
     check_range("rate=", rate, 1, HIGHEST_RATE, " Hz")
+    if bits not in (32, 64):
+        raise ParameterError(f"bits={short_repr(bits)} must be 32 or 64")
     samples = np.asarray(samples)
     rows = np.atleast_2d(samples)
     if not 1 <= samples.ndim <= 2 or len(rows) > MAX_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
@@ -343,7 +338,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     from scipy.io import wavfile
 
     stream = io.BytesIO()
-    wavfile.write(stream, rate, np.ascontiguousarray(rows.T, "<f4"))
+    wavfile.write(stream, rate, np.ascontiguousarray(rows.T, f"<f{bits // 8}"))
     return stream.getvalue()
 
 

@@ -32,7 +32,7 @@ def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -
     """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    replace_file(path, text.getvalue().encode())
+    replace_file(path, text.getvalue().encode(errors="backslashreplace"))  # names that are not UTF-8
 
 
 def data_frame(header: Sequence[str], rows: Rows) -> Any:

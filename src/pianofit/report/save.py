@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import FitError, OutputError, PianofitError
-from ..io.files import encode_wav, output_folder, printable, read_file, replace_file
+from ..io.files import LONGEST_STEM, encode_wav, output_folder, printable, read_file, replace_file, shortened
 from ..result import Result
 from ..result.draws import DRAWS_FILE, encode_draws
 from ..schema.decode import encode_json
@@ -87,6 +87,7 @@ def write_page(result: Result, path: Path, title: str | None, held_out: CrossVal
 def stroke_names(stems: Sequence[str]) -> list[str]:
     """Return the files of the fitted sounds of several recordings, from their names; empty for a single recording."""
     names: list[str] = []
+    stems = [shortened(printable(stem), LONGEST_STEM) for stem in stems]
     for place, stem in enumerate(stems, 1):
         # Files in different folders can have the same name. The number must not make the name of another file.
         numbered = (f"{stem}-{number}" for number in itertools.count(place))

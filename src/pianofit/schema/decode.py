@@ -90,7 +90,6 @@ def encode_json(record: Any) -> bytes:
 
 
 def _text(record: Any) -> str:
-    """Return a record as JSON; it may hold names of files that UTF-8 does not encode."""
     return json_text(msgspec.to_builtins(record, enc_hook=_encode))
 
 
