@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +47,21 @@ def test_the_format_of_an_aiff_may_follow_its_sound():
     chunk = data[begin : begin + 26]
     moved = data[:begin] + data[begin + 26 : end] + data[end:] + chunk
     assert np.array_equal(decode(moved)[0], decode(data)[0])
+
+
+def test_skipped_chunks_take_no_memory():
+    """A file may hold millions of empty chunks, each of another kind."""
+    data = (
+        b"RIFF"
+        + bytes(4)
+        + b"WAVE"
+        + b"".join(struct.pack("<4sI", struct.pack("<I", kind), 0) for kind in range(20_000))
+    )
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match="no data chunk"):
+        audio_of(data)
+    assert tracemalloc.get_traced_memory()[1] < len(data) / 10
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("container", ["WAV", "RF64", "W64", "AIFF", "CAF"])

@@ -113,7 +113,8 @@ def test_the_command_lists_without_writing(file, tmp_path, capsys):
 
 @pytest.mark.parametrize(("pattern", "message"), [
     ("{note}", "names 3 strokes"), ("{note.__class__}{number}", "no fields but"), ("{number", "no fields but"),
-    ("../{number}", "cannot be a file name"), ("", "cannot be a file name"),
+    ("../{number}", "cannot be a file name"), ("", "cannot be a file name"), ("{number}\n", "cannot be a file name"),
+    ("\udcff{number}", "cannot be a file name"), ("ü" * 130 + "{number}", "cannot be a file name"),
 ])  # fmt: skip
 def test_bad_patterns_write_nothing(session, tmp_path, pattern, message):
     """Three strokes of one key."""
@@ -125,11 +126,34 @@ def test_bad_patterns_write_nothing(session, tmp_path, pattern, message):
     assert not (tmp_path / "cut").exists()
 
 
+@pytest.mark.parametrize(("subtype", "gain"), [("FLOAT", 8.0), ("DOUBLE", 8.0), ("PCM_32", 1.0), ("PCM_16", 1.0)])
+def test_every_kind_of_sample_is_kept(session, tmp_path, subtype, gain):
+    """Floats may exceed full scale."""
+    samples, truth = session
+    path = tmp_path / "long.wav"
+    soundfile.write(path, gain * samples[:, : truth[1][0]].T, RATE, subtype=subtype)
+    whole, _ = soundfile.read(path, always_2d=True)
+    (stroke,) = (stroke for stroke in cut_recording(path, tmp_path / "cut") if stroke.file)
+    part, _ = soundfile.read(tmp_path / "cut" / stroke.file, always_2d=True)
+    end = round(stroke.end_s * RATE)
+    assert np.array_equal(part, whole[end - len(part) : end])
+    assert soundfile.info(tmp_path / "cut" / stroke.file).subtype == subtype
+
+
+def test_a_recording_may_last_longer_than_a_note(session, tmp_path):
+    samples, truth = session
+    sound = np.zeros(610 * RATE)
+    sound[: truth[1][0]] = samples[0, : truth[1][0]]
+    soundfile.write(tmp_path / "long.flac", sound[::4], RATE // 4)
+    assert any(stroke.note == "E2" for stroke in cut_recording(tmp_path / "long.flac", None))
+
+
 def test_bad_recordings_are_refused(tmp_path):
-    text, noise = tmp_path / "text.wav", tmp_path / "noise.wav"
+    text, noise, nan = tmp_path / "text.wav", tmp_path / "noise.wav", tmp_path / "nan.wav"
+    soundfile.write(nan, np.r_[0.1, np.nan, np.zeros(RATE)], RATE, subtype="FLOAT")
     text.write_text("no sound")
     soundfile.write(noise, 0.1 * np.random.default_rng(0).normal(size=3 * RATE), RATE)
-    for path in (text, noise, tmp_path / "missing.wav"):
+    for path in (text, noise, nan, tmp_path / "missing.wav"):
         with pytest.raises(RecordingError, match=path.name):
             cut_recording(path, tmp_path / "cut")
     assert not (tmp_path / "cut").exists()

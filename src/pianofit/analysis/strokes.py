@@ -56,7 +56,7 @@ class Stroke:
 def find_strokes(samples: np.ndarray, rate: int) -> list[Stroke]:
     """Find the strokes of a long recording [channels, samples], in order of time, unsure ones included."""
     # Channels of opposite phase would cancel in their mean.
-    mono = samples[np.argmax(np.sum(samples**2, axis=1))]
+    mono = samples[np.argmax(np.einsum("cs,cs->c", samples, samples))]
     levels = _band_levels(mono, rate)
     noise = np.quantile(levels, 0.1, axis=0) + ABOVE_NOISE
     onsets = [_refined(mono, rate, round(i * STEP * rate)) for i in _rises(np.maximum(levels, noise))]

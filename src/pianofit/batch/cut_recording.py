@@ -13,18 +13,19 @@ import numpy as np
 
 from ..analysis.strokes import BEFORE, Stroke, find_strokes
 from ..errors import RecordingError, SetupError
-from ..io.audio import decode_file
-from ..io.files import encode_pcm, output_folder, printable, replace_file
+from ..io.audio import Longest, decode_file
+from ..io.files import LONGEST_STEM, encode_pcm, encode_wav, output_folder, printable, replace_file
 from ..io.table_output import write_csv
 
-# Largest recording to cut, bytes: two hours of stereo of 24 bits at 48 kHz.
+# Largest recording to cut, bytes, and the longest: two hours of stereo of 24 bits at 48 kHz, 5 GiB of float64.
 LARGEST_LONG_RECORDING = 2**31
+LONGEST_RECORDING = Longest(7200.0, 7200 * 48_000 * 2, "cut it into parts")
 LIST = "strokes.csv"
 PATTERN = "{note}-L{layer}"
 # Letters that no file name has on every system.
 FORBIDDEN = '/\\:*?"<>|'
-# Bits of a FLAC that holds samples of these kinds exactly. Other kinds are written as 24 bits.
-BITS = {"PCM_S8": 16, "PCM_U8": 16, "PCM_16": 16}
+# Bits of a FLAC that holds samples of these kinds exactly. Other kinds are written as WAV.
+FLAC_BITS = {"PCM_16": 16, "PCM_24": 24}
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,12 @@ def cut_recording(
     SetupError
         For a pattern with other fields, or that names two strokes alike.
     """
-    frames, rate, kind = decode_file(path, LARGEST_LONG_RECORDING)
+    frames, rate, kind = decode_file(path, LARGEST_LONG_RECORDING, LONGEST_RECORDING)
     progress("listening", 0.0)
     strokes = find_strokes(frames.T, rate)
     if all(stroke.doubt for stroke in strokes):
         raise RecordingError(f"{printable(path)}: no stroke with a pitch was found; give a recording of single notes")
-    listed = _listed(strokes, rate, pattern)
+    listed = _listed(strokes, rate, pattern, ".flac" if kind in FLAC_BITS else ".wav")
     if out is None:
         return listed
     if any((out / entry.file).resolve() == path.resolve() for entry in listed if entry.file):
@@ -85,14 +86,22 @@ def cut_recording(
         for i, (stroke, entry) in enumerate(zip(strokes, listed, strict=True)):
             if entry.file:
                 first = max(stroke.onset - round(BEFORE * rate), 0)
-                content = encode_pcm(frames[first : stroke.end].T, rate, "flac", BITS.get(kind, 24))
-                replace_file(folder / entry.file, content)
+                replace_file(folder / entry.file, _encoded(frames[first : stroke.end].T, rate, kind))
             progress("cutting", (i + 1) / len(strokes))
         write_csv(folder / LIST, [field.name for field in fields(CutStroke)], [astuple(stroke) for stroke in listed])
     return listed
 
 
-def _listed(strokes: list[Stroke], rate: int, pattern: str) -> list[CutStroke]:
+def _encoded(samples: np.ndarray, rate: int, kind: str) -> bytes:
+    """Return a file that holds samples of a kind exactly, as the decoder names it. FLAC would clip floats above ±1."""
+    if kind in FLAC_BITS:
+        return encode_pcm(samples, rate, "flac", FLAC_BITS[kind])
+    if kind == "PCM_32":
+        return encode_pcm(samples, rate, bits=32)
+    return encode_wav(samples, rate, bits=64 if kind == "DOUBLE" else 32)
+
+
+def _listed(strokes: list[Stroke], rate: int, pattern: str, ending: str) -> list[CutStroke]:
     """Number the strokes, and the layers of each note from the softest."""
     layers: dict[int, int] = {}
     for note in {stroke.note for stroke in strokes if not stroke.doubt}:
@@ -102,7 +111,7 @@ def _listed(strokes: list[Stroke], rate: int, pattern: str) -> list[CutStroke]:
     listed = [
         CutStroke(
             i + 1,
-            f"{_named(pattern, stroke.note, layers[i], i + 1)}.flac" if i in layers else "",
+            _named(pattern, stroke.note, layers[i], i + 1) + ending if i in layers else "",
             round(stroke.onset / rate, 6),
             round(stroke.end / rate, 6),
             stroke.note,
@@ -127,7 +136,8 @@ def _named(pattern: str, note: str, layer: int, number: int) -> str:
     if "{" in name or "}" in name:
         allowed = ", ".join(f"{{{field}}}" for field in values)
         raise SetupError(f"--pattern {pattern!r} must have no fields but {allowed}")
-    if not name or name.startswith(".") or any(letter in name for letter in FORBIDDEN):
-        letters = " ".join(FORBIDDEN)
-        raise SetupError(f"--pattern {pattern!r} makes {name!r}, which cannot be a file name; leave out {letters}")
+    unusable = not name.isprintable() or name.startswith(".") or any(letter in name for letter in FORBIDDEN)
+    if unusable or not 1 <= len(name.encode(errors="replace")) <= LONGEST_STEM:
+        wanted = f"1 to {LONGEST_STEM} bytes of printable characters, without {' '.join(FORBIDDEN)}"
+        raise SetupError(f"--pattern {pattern!r} makes {name!r}, which cannot be a file name; give {wanted}")
     return name

@@ -25,7 +25,7 @@ HEADER = f"{'':>4}{'start, s':>10}{'length, s':>10}  {'note':5}{'cents':>7}{'dB'
 
 def cut(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of many single notes.")],
-    out: Annotated[Path | None, text("DIR", "Folder for one FLAC per stroke, and strokes.csv.")] = None,
+    out: Annotated[Path | None, text("DIR", "Folder for one FLAC or WAV per stroke, and strokes.csv.")] = None,
     pattern: Annotated[str, text("PATTERN", "Name of a file, with {note}, {layer} and {number}.")] = "{note}-L{layer}",
     dry_run: DryRun = False,
     force: Force = False,
@@ -45,7 +45,7 @@ def cut(
         measured = f"{stroke.note:5}{cents:>7}{stroke.loudness_db:>7.1f}"
         lines.append(f"{stroke.number:>4}{times}  {measured}  {stroke.file or stroke.doubt}")
     sure = sum(bool(stroke.file) for stroke in listed)
-    where = "nothing written" if out is None else f"written to {out}"
+    where = "nothing written" if out is None else f"written to {printable(out)}"
     lines.append(f"{counted(sure, 'stroke')}, {len(listed) - sure} unsure; {where}")
     print_result(listed, "\n".join(lines) + "\n", as_json)
 

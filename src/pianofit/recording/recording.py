@@ -14,8 +14,7 @@ from numbers import Real
 import numpy as np
 
 from ..errors import ParameterError, RecordingError, check_type
-from ..io.audio import LOSSY, STEPS, decode
-from ..io.containers import check_layout
+from ..io.audio import LOSSY, STEPS, check_length, check_samples, decode
 from ..io.files import printable, read_file, short_repr
 from .measurements import checked_channel, count_clipped, noise_rms, offset, opposite_channels, select_channels
 from .onset import find_sounds
@@ -161,7 +160,7 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
     array = array.astype(np.float64)
     info = {"sha256": hashlib.sha256(array.tobytes()).hexdigest(), "channels": 1, "subtype": "DOUBLE"}
     try:
-        check_layout(1, rate, len(array))
+        check_length(1, rate, len(array))
         return _measure(array[:, None], int(rate), 0.0, path=name, channel="mono", **info)
     except RecordingError as error:
         raise RecordingError(f"{name}: {error}") from None
@@ -201,11 +200,7 @@ def _measure(used: np.ndarray, rate: int, step: float, **info) -> Recording:
 
 def _checked_mean(used: np.ndarray, rate: int, step: float) -> np.ndarray:
     """Return the mean of the channels [samples]; raise if they hold no sound."""
-    if not np.isfinite(used).all():
-        first = int(np.argmin(np.isfinite(used).all(axis=1)))
-        raise RecordingError(f"has a NaN or infinite sample at {first / rate:.4f} s; export it again")
-    if np.abs(used).max() > 1e6:
-        raise RecordingError(f"reaches {np.abs(used).max():.3g} times full scale; scale it to within ±1")
+    check_samples(used, rate)
     if len(used) < MIN_SECONDS * rate:
         raise RecordingError(f"lasts {1000 * len(used) / rate:.1f} ms; at least {1000 * MIN_SECONDS:g} ms are needed")
     mono, flat = used.mean(axis=1), max(1e-9, 2 * step)
