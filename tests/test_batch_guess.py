@@ -107,3 +107,11 @@ def test_what_fits_have_written_is_not_a_recording(tmp_path):
         (tmp_path / name).write_bytes(b"x")
     (key,), _ = read_keys(tmp_path)
     assert [sample.file.name for sample in key.samples] == ["C4-p.wav"]
+
+
+def test_neighbouring_free_fields_are_matched_in_linear_time():
+    """Each is as short as possible, as if all divisions of the text were tried."""
+    assert expression_of("{note}" + "{*}" * 30 + "x").fullmatch("C4" + "y" * 60) is None
+    match = expression_of("{instrument}{*}{layer}-{note}").fullmatch("piano-C4")
+    assert match is not None
+    assert (match["instrument"], match["layer"]) == ("p", "iano")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pianofit.batch import read_keys
-from pianofit.batch.sfz_text import MAX_DEPTH, unrecognised_opcodes
+from pianofit.batch.sfz_text import MAX_DEPTH, SfzText, regions, unrecognised_opcodes
 from pianofit.errors import SetupError
 from pianofit.io.files import encode_wav
 
@@ -358,3 +359,13 @@ def test_articulations_by_key_switch_are_named(tmp_path):
     text = "".join(f"<region> key=53 sample={n}.wav sw_last={k}\n" for n, k in (("a", 24), ("b", 25)))
     _, remarks = read_keys(library(tmp_path, text, "a.wav", "b.wav"))
     assert any("key switch" in remark for remark in remarks)
+
+
+def test_long_texts_take_linear_time(tmp_path):
+    """Thousands of variables, each used before the next is defined, and comments that do not end."""
+    text = "".join(f"#define $V{i} {i % 9}\n<region> key=$V{i}0 sample=$V{i}.wav\n" for i in range(20_000))
+    source = library(tmp_path, text + "/*" * 200_000)
+    begin = time.monotonic()
+    found = [*regions(SfzText(source, tmp_path))]
+    assert time.monotonic() - begin < 10
+    assert found[19_998] == {"key": "00", "sample": "0.wav"}  # the longest name is replaced

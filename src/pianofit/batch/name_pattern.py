@@ -15,11 +15,12 @@ from ..analysis.pitch import check_pitch
 from ..conversions import hertz_of
 from ..errors import AnalysisError, SetupError
 
+# Fields of any text, and the shortest text of each.
+FREE = {**dict.fromkeys(("instrument", "take", "layer", "group", "mic", "role"), r"[^/]"), "*": ""}
 FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     **dict.fromkeys(("velocity", "v_H0"), r"\d+(?:\.\d+)?"),
-    **dict.fromkeys(("instrument", "take", "layer", "group", "mic", "role"), r"[^/]+?"),
-    "*": r"[^/]*?",
+    **{name: r"[^/]+?" if shortest else r"[^/]*?" for name, shortest in FREE.items()},
 }
 # Words in a file name that give the role of the recording.
 ROLE_WORDS = {
@@ -58,7 +59,8 @@ def expression_of(pattern: str) -> re.Pattern[str]:
     Raises `SetupError` if the pattern has an unknown field, a field twice, no note, or brackets that do not match.
     """
     parts, fields, depth = [], [], 0
-    for field, other in re.findall(r"\{([a-zA-Z_0-9*]+)\}|(.)", pattern):
+    tokens = re.findall(r"\{([a-zA-Z_0-9*]+)\}|(.)", pattern)
+    for (field, other), (following, _) in zip(tokens, [*tokens[1:], ("", "")], strict=True):
         depth += (other == "[") - (other == "]")
         if depth not in (0, 1):
             raise SetupError(f"--pattern {pattern!r}: [ and ] must come in pairs and must not be nested")
@@ -71,7 +73,9 @@ def expression_of(pattern: str) -> re.Pattern[str]:
         if field in fields and field != "*":
             raise SetupError(f"--pattern {pattern!r}: has {{{field}}} twice; use {{*}} for one of them")
         fields.append(field)
-        parts.append(f"(?:{FIELDS[field]})" if field == "*" else f"(?P<{field}>{FIELDS[field]})")
+        # Two free fields share a text in many ways. The first match is that in which the first field is shortest.
+        form = FREE[field] if field in FREE and following in FREE else FIELDS[field]
+        parts.append(f"(?:{form})" if field == "*" else f"(?P<{field}>{form})")
     if "note" not in fields or depth:
         raise SetupError(f"--pattern {pattern!r}: must have {{note}}, and a ] for every [")
     return re.compile("".join(parts), re.IGNORECASE)

@@ -20,7 +20,8 @@ MAX_TEXT = 2**24  # characters of the expanded text, plus one for each piece; bo
 INCLUDE_COST = 200  # characters that one include counts as, for its time
 MAX_DEPTH = 50  # of nested includes: libraries use 2 or 3, and the stack of Python ends near 300
 LEVELS = ("control", "global", "master", "group", "region")
-_COMMENT = re.compile(r"//[^\r\n]*|/\*.*?\*/", re.DOTALL)
+_COMMENT = re.compile(r"//[^\r\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
+_VARIABLE = re.compile(r"\$\w+")
 _DIRECTIVE = re.compile(
     r"""#include[ \t]+(?:"([^"]+)"|(\S+))|#define[ \t]+(\$\w+)(?:[ \t]+(?!#include|#define|<)(\S+))?"""
 )
@@ -75,7 +76,7 @@ class SfzText:
         self.source, self._root = source, root
         self.recoded: list[Path] = []  # files that are not UTF-8
         self._defined: dict[str, str] = {}
-        self._words = re.compile("(?!)")
+        self._lengths: list[int] = []  # of the names in `_defined`, longest first
         self._texts: dict[Path, str] = {}
         self._files: dict[tuple[str, Path], Path] = {}
         self._left = MAX_TEXT
@@ -116,20 +117,22 @@ class SfzText:
         return self._texts.setdefault(file, _COMMENT.sub(lambda m: "\n" * m[0].count("\n") or " ", text))
 
     def _define(self, word: str, value: str) -> None:
-        if word not in self._defined:
-            longest_first = sorted([*self._defined, word], key=len, reverse=True)
-            self._words = re.compile("|".join(map(re.escape, longest_first)))
         self._defined[word] = value
+        if len(word) not in self._lengths:
+            self._lengths = sorted([*self._lengths, len(word)], reverse=True)
 
     def _expanded(self, text: str) -> str:
-        """Text with variables replaced. Its length counts towards `MAX_TEXT`."""
+        """Text with variables replaced, the longest name first. Its length counts towards `MAX_TEXT`."""
 
         def value(match: re.Match[str]) -> str:
-            self._count(len(self._defined[match[0]]))
-            return self._defined[match[0]]
+            names = (match[0][:length] for length in self._lengths)
+            name = next((name for name in names if name in self._defined), "")
+            value = self._defined.get(name, "")
+            self._count(len(value))
+            return value + match[0][len(name) :]
 
         self._count(len(text) + 1)
-        return self._words.sub(value, text) if "$" in text else text
+        return _VARIABLE.sub(value, text) if "$" in text else text
 
     def _count(self, characters: int) -> None:
         self._left -= characters
