@@ -163,3 +163,22 @@ persistent_jit(lambda x, cfg: (2 * x,))(jax.numpy.ones(3, float), None)
     subprocess.run([sys.executable, "-c", script], check=True, env=environment | {"PIANOFIT_CACHE": str(tmp_path)})
     assert len([*tmp_path.glob("*.program")]) == 1
     assert [*tmp_path.glob("jit_*")]
+
+
+@pytest.mark.parametrize(("chosen", "folder"), [({}, None), ({"XDG_CACHE_HOME": "cache"}, "cache/pianofit")])
+def test_without_a_home_folder_programs_are_kept_only_in_a_given_one(tmp_path, chosen, folder):
+    """As in a container without HOME whose user has no entry in passwd."""
+    script = """
+import os, pathlib
+def home():
+    raise RuntimeError("Could not determine home directory.")
+pathlib.Path.home = home
+from pianofit.program_folder import enable_program_cache
+enable_program_cache()
+print(os.environ.get("JAX_COMPILATION_CACHE_DIR"))
+"""
+    removed = ("JAX_", "XDG_CACHE_HOME", "PIANOFIT_CACHE", "LOCALAPPDATA")
+    environment = {name: x for name, x in os.environ.items() if not name.startswith(removed)}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=environment | chosen, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == f"{folder}\n"

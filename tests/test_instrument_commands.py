@@ -151,6 +151,15 @@ def test_a_sampler_is_exported(built, tmp_path):
     assert (tmp_path / "sampler" / "twin.sfz").is_file()
 
 
+def test_an_export_does_not_replace_the_working_folder(built, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    done = run("export", built, "--out", ".", "--keys", "F#3", "--seconds", 0.1, "--velocity-layers", 1)
+    assert done.exit_code == 1
+    assert "working folder" in done.output
+    assert (tmp_path / "here").is_dir()
+
+
 def test_the_options_of_pedals_choose_samples(built, tmp_path):
     asked = ("--velocity-layers", 2, "--keys", "F#3", "--seconds", 0.1)
     run("export", built, "--out", tmp_path / "more", *asked, "--una-corda", "--velocity-blend", "xfade")
@@ -282,7 +291,8 @@ BAD_INSTRUMENTS = {
     "text": (changed("keys.0.string.c", "fast"), r"keys\[0\].string.c = 'fast' must be a number"),
     "nan": (changed("keys.0.hammer.p", float("nan")), "not an instrument.json"),
     "huge": (changed("keys.0.gain", 10**400), "not an instrument.json|gain = 1000"),
-    "no gain": (changed("keys.0.gain", 0), "gain must not be 0"),
+    "no gain": (changed("keys.0.gain", 0), "gain must be at least 1e-12"),
+    "silent": (changed("keys.0.gain", -1e-300), "gain must be at least 1e-12"),
     "range": (changed("keys.0.string.c", 1e9), r"keys\[0\]: c=1000000000.0 must be a number from 20"),
     "off the string": (changed("keys.0.geometry.strike_position", 99.0), r"keys\[0\].*99.0 m"),
     "gain": (changed("keys.5.gain", None), r"keys\[5\].gain = None must be a number"),

@@ -265,6 +265,9 @@ def test_what_cannot_be_played_is_refused():
         render_song(PIANO, song((0.0, 1.0, 60, 80)), 100)
     with pytest.raises(ParameterError, match="694 s"):
         render_song(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
+    silent = piano_of({60: true_note(60)._replace(gain=1e-12)})
+    with pytest.raises(ParameterError, match="the song is silent"):
+        render_song(silent, song((0.0, 1.0, 60, 80)), RATE)
     stuck = true_note(60)
     stuck = piano_of({60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
     with pytest.raises(FitError, match=r"key 60: .*v_H0="):

@@ -287,6 +287,8 @@ def test_a_prior_survives_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("change", "named"),
     [({"names": ["M_H"]}, "names"), ({"mean": [0.0, 1.0]}, "mean"), ({"covariance": [[-1.0]]}, "covariance"),
+     ({"mean": [1e3]}, "mean"), ({"covariance": [[1e-300]]}, "covariance"),
+     ({"names": ["f0", "B"], "mean": [5.0, -8.0], "covariance": [[1.0, 1.0], [1.0, 1.0 + 1e-13]]}, "singular"),
      ({"compression": 1.0}, "compression"), ({"velocity": "fast"}, "velocity"), ({"extra": 1}, "extra")],
 )  # fmt: skip
 def test_a_bad_prior_is_named(change, named):

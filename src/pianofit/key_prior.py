@@ -31,8 +31,12 @@ PRIOR_QUANTITIES = tuple(INVARIANTS)
 # Range of the compression, m, and of the velocity, m/s.
 COMPRESSIONS = (1e-7, 1e-1)
 VELOCITIES = (1e-2, 20.0)
-# Largest standard deviation of a logarithm: wider priors contain no information.
-WIDEST = 30.0
+# Range of the standard deviation of a logarithm: wider priors contain no information, and narrower ones fix a value.
+NARROWEST, WIDEST = 1e-6, 30.0
+# Largest mean of a logarithm, either sign: a factor of 5e21 in SI units, beyond all strings and hammers.
+LARGEST_MEAN = 50.0
+# Smallest eigenvalue of the correlations: the inverse of a matrix near a singular one has no correct digits.
+SMALLEST_EIGENVALUE = 1e-12
 # Largest difference of two correlations that must be equal: numbers in files are rounded.
 ROUNDING = 1e-9
 
@@ -53,8 +57,8 @@ class KeyPrior:
     Raises
     ------
     ParameterError
-        If a name is unknown or given twice, if sizes differ, if the covariance is not positive definite, and for a
-        compression or velocity out of range.
+        If a name is unknown or given twice, if sizes differ, if the covariance is not positive definite or nearly
+        singular, and for a mean, standard deviation, compression or velocity out of range.
 
     Examples
     --------
@@ -77,11 +81,16 @@ class KeyPrior:
             raise ParameterError(f"prior names={self.names!r} must be different ones of {', '.join(PRIOR_QUANTITIES)}")
         size = len(self.names)
         mean, covariance = _numbers("mean", self.mean, (size,)), _numbers("covariance", self.covariance, (size, size))
+        for value in mean:
+            check_range("prior mean=", value, -LARGEST_MEAN, LARGEST_MEAN, ", the logarithm of a value in SI units")
         if not _positive_definite(covariance):
-            raise ParameterError("prior covariance= must be symmetric and positive definite; correct it")
+            raise ParameterError(
+                "prior covariance= must be symmetric, positive definite and not nearly singular, with standard "
+                f"deviations from {NARROWEST:g} to {WIDEST:g}; correct it"
+            )
         check_range("prior compression=", self.compression, *COMPRESSIONS, " m")
         check_range("prior velocity=", self.velocity, *VELOCITIES, " m/s")
-        check_range("prior velocity_sd=", self.velocity_sd, 1e-6, WIDEST)
+        check_range("prior velocity_sd=", self.velocity_sd, NARROWEST, WIDEST)
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "mean", tuple(mean.tolist()))
         object.__setattr__(self, "covariance", tuple(map(tuple, covariance.tolist())))
@@ -104,13 +113,8 @@ def _numbers(name: str, values: object, shape: tuple[int, ...]) -> np.ndarray:
 
 def _positive_definite(matrix: np.ndarray) -> bool:
     variance = np.diag(matrix)
-    if not ((variance > 0) & (variance <= WIDEST**2)).all():
+    if not ((variance >= NARROWEST**2) & (variance <= WIDEST**2)).all():
         return False
     correlation = matrix / np.sqrt(np.outer(variance, variance))
-    if np.abs(correlation - correlation.T).max() > ROUNDING:
-        return False
-    try:
-        np.linalg.cholesky(correlation)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    symmetric = np.abs(correlation - correlation.T).max() <= ROUNDING
+    return bool(symmetric and np.linalg.eigvalsh(correlation)[0] >= SMALLEST_EIGENVALUE)

@@ -13,16 +13,20 @@ FOLDER = "jax_compilation_cache_dir"
 
 
 def cache_folder() -> Path:
-    """Return the cache folder of this user; PIANOFIT_CACHE overrides it."""
+    """Return the cache folder of this user; PIANOFIT_CACHE overrides it.
+
+    Raises `RuntimeError` if the user has no home folder.
+    """
     if chosen := os.environ.get("PIANOFIT_CACHE"):
         return Path(chosen)
     if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+        variable, below_home = "LOCALAPPDATA", "AppData/Local"
     elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
+        variable, below_home = "", "Library/Caches"
     else:
-        base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return base / "pianofit"
+        variable, below_home = "XDG_CACHE_HOME", ".cache"
+    chosen = os.environ.get(variable)
+    return (Path.home() / below_home if chosen is None else Path(chosen)) / "pianofit"
 
 
 def enable_program_cache() -> None:
@@ -34,13 +38,13 @@ def enable_program_cache() -> None:
     jax = sys.modules.get("jax")
     if jax.config.values[FOLDER] if jax else os.environ.get(FOLDER.upper()):
         return
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".{os.getpid()}"
         probe.touch()
         probe.unlink()
-    except OSError:
+    except (OSError, RuntimeError):
         return
     for name, value in {FOLDER: str(folder), **SETTINGS}.items():
         if jax:

@@ -176,7 +176,9 @@ def render_song(
     # The last fade follows the sound. Only what rings on at the end of the song, such as the treble, is faded itself.
     sound = np.abs(total).max(axis=0)
     audible = np.flatnonzero(sound > max(10 ** (INAUDIBLE_DB / 20) * sound.max(), SILENCE))
-    last = min(audible[-1] + 1 + round(LAST_FADE * rate), size) if len(audible) else 0
+    if not len(audible):
+        raise ParameterError("the song is silent on this instrument; check the gains of its keys")
+    last = min(audible[-1] + 1 + round(LAST_FADE * rate), size)
     if options.noise and instrument.noise is not None:
         total[:, :last] += instrument.noise.sound(last, rate, options.seed)
     fade = min(round(LAST_FADE * rate), last)

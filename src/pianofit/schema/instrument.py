@@ -29,6 +29,8 @@ HINT = "give the instrument.json that pianofit instrument wrote"
 V_H0 = PARAMETERS["v_H0"]
 HammerVelocity = Annotated[float, Meta(ge=V_H0.lower, le=V_H0.upper)]
 Gain = Annotated[float, Meta(ge=-1e12, le=1e12)]
+# Smallest gain, either sign. Sounds of a smaller one are silent in every file.
+SMALLEST_GAIN = 1e-12
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # Longest recording in a file, s.
 ContactTime = Annotated[float, Meta(ge=-600.0, le=600.0)]
@@ -177,8 +179,8 @@ class KeyEntry:
     fit: FitSummary | None = None  # of a recorded key
 
     def __post_init__(self) -> None:
-        if not self.gain:
-            raise ValueError("gain must not be 0")
+        if abs(self.gain) < SMALLEST_GAIN:
+            raise ValueError(f"gain must be at least {SMALLEST_GAIN:g}, or at most {-SMALLEST_GAIN:g}")
 
 
 @dataclass(frozen=True)
