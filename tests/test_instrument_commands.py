@@ -212,6 +212,7 @@ def test_a_hostile_fit_is_refused(tmp_path):
         ),
         ({"recordings": [good["recordings"][0] | {"stroke_value": -1.0}]}, r"recordings\[0\] has v_H0 = -1 m/s"),
         ({"recordings": [good["recordings"][0] | {"gain": 0.0}]}, r"recordings\[0\] has .* gain = 0"),
+        ({"recordings": [good["recordings"][0] | {"gain": 1e-300}]}, r"recordings\[0\] has .* gain = 1e-300"),
     ):
         with pytest.raises(FitError, match=message):
             load_keys([write_fit(tmp_path, 60, good | change)])

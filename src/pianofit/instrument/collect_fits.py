@@ -29,7 +29,7 @@ from ..model.note import Note
 from ..parameters import PARAMETERS, Hammer
 from ..schema.extras import EXTRAS_FILE, KeyExtras, read_extras
 from ..schema.fit import HINT, Fit, key_files, read_fit
-from ..schema.instrument import FitSummary, Layer, PartialEntry
+from ..schema.instrument import SMALLEST_GAIN, FitSummary, Layer, PartialEntry
 from ..schema.notes import note_of
 from ..threads import numerical_settings
 from .key_measurements import fitted_values, measurements_of, needed
@@ -281,10 +281,11 @@ def _check_values(fit: Fit, name: str, note: Note) -> None:
     law = law_of(note.hammer)
     stroke = law.stroke
     for i, recording in enumerate(fit.recordings):
-        if not (recording.stroke_value > 0 and recording.gain):
+        if not (recording.stroke_value > 0 and abs(recording.gain) >= SMALLEST_GAIN):
             raise FitError(
                 f"{name}: recordings[{i}] has {stroke.name} = {recording.stroke_value:g} {stroke.unit} and gain = "
-                f"{recording.gain:g}, but a {law.words.order} must be above 0, and a gain not 0; {HINT}"
+                f"{recording.gain:g}, but a {law.words.order} must be above 0, and a gain at least "
+                f"{SMALLEST_GAIN:g} of either sign; {HINT}"
             )
     for i, minimum in enumerate(fit.minima):
         values = minimum.values(fit)
