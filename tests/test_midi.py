@@ -16,6 +16,7 @@ from instrument_cases import true_instrument
 from pianofit.errors import RecordingError
 from pianofit.playback import Song, load_song, render_song
 from pianofit.playback.midi import MOST_NOTES, read_song
+from pianofit.playback.pedals import PedalRange, key_motions
 
 END = b"\0\xff\x2f\0"
 BEAT = b"\x83\x60"  # 480 ticks
@@ -55,7 +56,7 @@ def test_a_song_is_read_in_time():
         mido.Message("control_change", control=64, value=63, time=480), on(60, 5, channel=3), on(60, 6, channel=4),
         on(60, 0, 480, channel=3), on(60, 0, 480, channel=4), mido.Message("note_off", note=61),
     ), "song")  # fmt: skip
-    assert found.keys == {60: [(0.0, 80), (2.0, 0), (3.5, 5), (3.5, 6), (5.5, 0)], 64: [(0.5, 70), (2.5, 0)]}
+    assert found.keys == {60: [(0.0, 80), (2.0, 0), (3.5, 6), (5.5, 0)], 64: [(0.5, 70), (2.5, 0)]}
     assert found.pedal == [(0.5, 64), (3.5, 63)]
     assert found.release_velocities[64, 2.5] == 64
     assert (found.notes, found.seconds) == (4, 5.5)
@@ -189,6 +190,36 @@ def test_a_key_is_released_when_all_its_strokes_have_ended():
     assert pressed((0, 80), (1, 70), (1, 60), (1, 0), (1, 0), (1, 0)) == [(0, 80), (1, 70), (2, 60), (5, 0)]
 
 
+def pedal(controller: int, value: int = 127, time: int = 0) -> mido.Message:
+    return mido.Message("control_change", control=controller, value=value, time=time)
+
+
+@pytest.mark.parametrize(
+    ("messages", "motions"),
+    [
+        ([on(60), pedal(66), on(60, 0, 480), pedal(66, 0, 480)], [(0, 80, 0), (1, 0, 1)]),
+        ([pedal(66), on(60), on(60, 0, 480), pedal(66, 0, 480)], [(0, 80, 0), (0.5, 0, 1)]),
+        ([on(60), on(60, 0, 480), pedal(66), pedal(66, 0, 480)], [(0, 80, 0), (0.5, 0, 1)]),
+        ([on(60), pedal(66, 127, 480), on(60, 0), pedal(66, 0, 480)], [(0, 80, 0), (1, 0, 1)]),
+    ],
+)
+def test_the_middle_pedal_holds_the_keys_that_are_down_before_it(messages, motions):
+    song = read_song(midi_bytes(*messages), "song")
+    found = [(m.seconds, m.velocity, m.contact) for m in key_motions(song, 60, PedalRange(), 9.0)]
+    np.testing.assert_allclose(found, motions, atol=1e-6)
+
+
+def test_the_left_pedal_softens_the_strokes_after_it():
+    song = read_song(midi_bytes(on(60), pedal(67), on(64), on(60, 0, 480), on(64, 0)), "song")
+    soft = [key_motions(song, key, PedalRange(), 9.0)[0].soft for key in (60, 64)]
+    assert soft == [0.0, 1.0]
+
+
+def test_strokes_of_one_key_at_one_time_are_the_hardest_of_them():
+    song = read_song(midi_bytes(on(60, 40), on(60, 90, channel=1), on(60, 70, channel=2), on(60, 0, 480)), "song")
+    assert song.keys[60] == [(0.0, 90)]
+
+
 def test_the_order_of_a_repeated_note_within_its_tick_is_inaudible():
     orders = (((4, 80), (4, 70), (0, 0), (4, 0)), ((4, 80), (4, 0), (0, 70), (4, 0)))
     piano = true_instrument([60])
@@ -209,9 +240,9 @@ def test_a_stroke_that_is_never_ended_ends_at_the_next():
 
 def test_a_channel_ends_its_own_strokes():
     one, two = b"\0\x90\x3c\x50\1\x3c\0" + END, b"\0\x91\x3c\x40\3\x3c\0" + END
-    assert read(song(one, two, division=1)).keys[60] == [(0.0, 80), (0.0, 64), (1.5, 0)]
+    assert read(song(one, two, division=1)).keys[60] == [(0.0, 80), (1.5, 0)]
     everything_off = b"\0\x90\x3c\x50\0\x3c\x46\1\xb0\x7b\0\1\x90\x3c\0\1\x3c\x14\1\x3c\0" + END
-    assert read(song(everything_off, division=1)).keys[60] == [(0, 80), (0, 70), (0.5, 0), (1.5, 20), (2.0, 0)]
+    assert read(song(everything_off, division=1)).keys[60] == [(0, 80), (0.5, 0), (1.5, 20), (2.0, 0)]
 
 
 NOTES = st.tuples(st.integers(0, 400), st.integers(1, 200), st.integers(58, 61), st.integers(1, 127))
@@ -242,11 +273,11 @@ def test_times_are_those_that_mido_reads(events):
         tracks[which].append(on(40 + what, 80, ticks, channel=which) if what < 8 else tempo)
     stream = io.BytesIO()
     mido.MidiFile(tracks=[mido.MidiTrack([on(100)]), *tracks], ticks_per_beat=96).save(file=stream)
-    now, expected = 0.0, []
+    now, expected = 0.0, set[tuple[float, int]]()  # strokes of a key at one time are one
     for message in mido.MidiFile(file=io.BytesIO(stream.getvalue())):
         now += message.time
         if message.type == "note_on":
-            expected.append((now, message.note))
+            expected.add((now, message.note))
     found = read(stream.getvalue())
     strokes = sorted((at, key) for key, key_events in found.keys.items() for at, velocity in key_events if velocity)
     assert [key for _, key in strokes] == [key for _, key in sorted(expected)]

@@ -5,7 +5,8 @@ and 67 are the right, middle and left pedal; the highest value of all channels c
 effect. Tempo changes are applied.
 
 Strokes of one key may overlap. A note-off then ends the newest open stroke of its key and channel. The damper falls
-when as many strokes have ended as have begun.
+when as many strokes have ended as have begun. Strokes of one key at one time are one stroke, the hardest, because a key
+has one hammer. The middle and left pedals act on the simultaneous strokes that follow them in the file.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -32,6 +33,11 @@ RESET = 121  # "reset all controllers" releases the pedals
 # Value from which on MIDI defines a pedal as down.
 SWITCH = 64
 DRUMS = 9
+# Time between simultaneous movements of keys and of the middle or left pedal, s: far less than a sample, and above the
+# rounding of times. The right pedal acts on all keys alike, so that its order is inaudible.
+APART = 1e-9
+# Place of an end that the file lacks, after the stroke that it ends or before the next one, in events.
+NEXT_TO = 0.25
 # Values in place of a velocity: the end of one stroke, and of all strokes of a channel.
 END, END_ALL = 0, -1
 
@@ -121,6 +127,7 @@ def _song(file: MidiFile, name: str) -> Song:
     release_velocities: dict[tuple[int, float], int] = {}
     key_events = defaultdict[int, defaultdict[int, list[_KeyEvent]]](lambda: defaultdict(list))  # by key and channel
     used_keys = defaultdict[int, set[int]](set)  # channel -> keys with events since its last "all notes off"
+    places = _places(file.events)
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
@@ -134,26 +141,45 @@ def _song(file: MidiFile, name: str) -> Song:
                 used_keys[channel].add(first)
                 key_events[first][channel].append(_KeyEvent(order, now, velocity))
                 if kind == NOTE_OFF:
-                    release_velocities[first, now] = second
+                    release_velocities[first, _time(order, now, places)] = second
             else:  # sample players use such notes as key switches
                 ignored += velocity > 0
     _check_count(notes, name, file.remarks)
-    keys = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
-    pedal, sostenuto, una_corda = (_pedal(file.events, controller) for controller in (SUSTAIN, SOSTENUTO, SOFT))
+    moved = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
+    keys = {key: [(_time(it.order, it.seconds, places), it.velocity) for it in own] for key, own in moved.items()}
+    pedals = (_pedal(file.events, places, controller) for controller in (SUSTAIN, SOSTENUTO, SOFT))
+    pedal, sostenuto, una_corda = pedals
     return Song(keys, pedal, file.seconds, notes, ignored, file.remarks, sostenuto, una_corda, release_velocities)
 
 
-def _pedal(events: Sequence[MidiEvent], controller: int) -> list[tuple[float, int]]:
+def _places(events: Sequence[MidiEvent]) -> list[int]:
+    """Place of each event among the simultaneous ones, from 1; 0 where their order is inaudible."""
+    places: list[int] = []
+    for _, group in groupby(events, key=lambda event: event.seconds):
+        simultaneous = list(group)
+        pedals = any(event.kind == CONTROL and event.first in (SOSTENUTO, SOFT) for event in simultaneous)
+        keys = any(event.kind in (NOTE_ON, NOTE_OFF) for event in simultaneous)
+        places += [place if pedals and keys else 0 for place in range(1, len(simultaneous) + 1)]
+    return places
+
+
+def _time(order: float, seconds: float, places: Sequence[int]) -> float:
+    """Time of an event, moved by its place among the simultaneous ones."""
+    nearest = round(order)
+    return seconds + APART * (places[nearest] + order - nearest) if places[nearest] else seconds
+
+
+def _pedal(events: Sequence[MidiEvent], places: Sequence[int], controller: int) -> list[tuple[float, int]]:
     """Times and positions of a pedal. The highest value of all channels counts."""
     held: dict[int, int] = {}
     combined: list[tuple[float, int]] = []
-    for seconds, kind, channel, first, second in events:
+    for order, (seconds, kind, channel, first, second) in enumerate(events):
         if kind != CONTROL or channel == DRUMS or first not in (controller, RESET):
             continue
         held[channel] = 0 if first == RESET else second
         highest = max(held.values())
         if highest != (combined[-1][1] if combined else 0):
-            combined.append((seconds, highest))
+            combined.append((_time(order, seconds, places), highest))
     return combined
 
 
@@ -176,19 +202,21 @@ class _KeyEvent(NamedTuple):
     velocity: int  # of a stroke; otherwise END or END_ALL
 
 
-def _merge_channels(channels: dict[int, list[_KeyEvent]]) -> list[tuple[float, int]]:
+def _merge_channels(channels: dict[int, list[_KeyEvent]]) -> list[_KeyEvent]:
     """Strokes and releases of one key. It is released when no channel has an open stroke left."""
     events_by_order = sorted((event, channel) for channel, own in channels.items() for event in _add_missing_ends(own))
-    open_strokes, merged = Counter[int](), []
-    for (_, now, velocity), channel in events_by_order:
-        before = open_strokes.total()
+    open_strokes, merged = Counter[int](), list[_KeyEvent]()
+    for event, channel in events_by_order:
+        before, velocity = open_strokes.total(), event.velocity
         if velocity > 0:
             open_strokes[channel] += 1
-            merged.append((now, velocity))
+            if merged and merged[-1].velocity and merged[-1].seconds == event.seconds:
+                event = event._replace(velocity=max(velocity, merged.pop().velocity))
+            merged.append(event)
         else:
             open_strokes[channel] = max(open_strokes[channel] - 1, 0) if velocity == END else 0
             if before and not open_strokes.total():
-                merged.append((now, 0))
+                merged.append(event._replace(velocity=0))
     return merged
 
 
@@ -214,8 +242,8 @@ def _add_missing_ends(events: list[_KeyEvent]) -> list[_KeyEvent]:
     next_stroke = dict(pairwise(strokes))
     for i in open_strokes:
         if events[i].seconds in stray_times:
-            ends.append(_KeyEvent(events[i].order + 0.5, events[i].seconds, END))
+            ends.append(_KeyEvent(events[i].order + NEXT_TO, events[i].seconds, END))
         elif i in next_stroke:
             following = events[next_stroke[i]]
-            ends.append(_KeyEvent(following.order - 0.5, following.seconds, END))
+            ends.append(_KeyEvent(following.order - NEXT_TO, following.seconds, END))
     return [*events, *ends]

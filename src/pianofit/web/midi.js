@@ -194,13 +194,24 @@ function mergeChannels(midi, channels, released) {
     const before = isHeld(), count = open.get(channel) ?? 0;
     if (velocity > 0) {
       open.set(channel, count + 1);
-      events.push({ order, at, do: "on", midi, velocity });
+      const last = events.at(-1), isDoubled = last?.do === "on" && last.at === at; // one hammer: the hardest stroke
+      if (isDoubled) events.pop();
+      events.push({ order, at, do: "on", midi, velocity: isDoubled ? Math.max(velocity, last.velocity) : velocity });
       continue;
     }
     open.set(channel, velocity === END ? Math.max(count - 1, 0) : 0);
     if (before && !isHeld()) events.push({ order, at, do: "off", midi, velocity: released.get(at) ?? RELEASE_VELOCITY });
   }
   return { events, isHeld: isHeld() };
+}
+
+/** As `parse`, with the advice for a file that is not a MIDI file that this page reads. */
+function parsed(bytes) {
+  try {
+    return parse(bytes);
+  } catch (error) {
+    throw new Error(`cannot be read as MIDI (${error.message}); save it again as type 0 or 1`);
+  }
 }
 
 /**
@@ -211,8 +222,8 @@ function mergeChannels(midi, channels, released) {
  * Throws an Error with the reason if the file cannot be used.
  */
 export function readMidi(bytes) {
-  const { messages, seconds, remarks } = parse(bytes);
-  if (seconds > MOST_SONG_SECONDS) throw new Error(`it lasts more than ${MOST_SONG_SECONDS / 60} minutes; cut it into parts`);
+  const { messages, seconds, remarks } = parsed(bytes);
+  if (seconds > MOST_SONG_SECONDS) throw new Error(`lasts more than ${MOST_SONG_SECONDS / 60} minutes; cut it into parts`);
   const keys = new Map(), released = new Map(), events = [], count = { notes: 0, beyond: 0 };
   const pedals = new Map(PEDALS.map((controller) => [controller, { channels: new Map(), highest: 0 }]));
   const move = (midi, channel, step) => {
@@ -240,8 +251,8 @@ export function readMidi(bytes) {
       if (kind === NOTE_OFF) released.set(first, (released.get(first) ?? new Map()).set(at, second));
     }
   });
-  if (count.notes > MOST_NOTES) throw new Error(`it has more than ${MOST_NOTES} notes; cut it into parts`);
-  if (!count.notes) throw new Error(["it holds no note from A0 to C8", ...remarks].join("; "));
+  if (count.notes > MOST_NOTES) throw new Error(`has more than ${MOST_NOTES} notes; cut it into parts`);
+  if (!count.notes) throw new Error(["holds no note from A0 to C8 outside channel 10, the drums", ...remarks].join("; "));
   const end = { order: Infinity, at: seconds + LAST_HELD };
   for (const [midi, channels] of keys) {
     const merged = mergeChannels(midi, channels, released.get(midi) ?? new Map());

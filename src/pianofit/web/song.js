@@ -48,12 +48,12 @@ class SongPlayer {
     const name = file.name.length > NAME_LENGTH ? `${file.name.slice(0, NAME_LENGTH)}…` : file.name;
     const { LARGEST_SONG, readMidi } = this.player;
     try {
-      if (file.size > LARGEST_SONG) throw new Error(`it has more than ${LARGEST_SONG / 2 ** 20} MiB`);
+      if (file.size > LARGEST_SONG) throw new Error(`has more than ${LARGEST_SONG / 2 ** 20} MiB; cut it into parts`);
       const song = readMidi(new Uint8Array(await file.arrayBuffer()));
       this.stop();
       this._setSong(song, name);
     } catch (error) {
-      this.say(`${name}: cannot be read as MIDI (${error.message}). Save it again as type 0 or 1.`);
+      this.say(`${name}: ${error.message}.`);
     }
   }
 
