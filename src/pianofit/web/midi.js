@@ -252,7 +252,8 @@ export function readMidi(bytes) {
     }
   });
   if (count.notes > MOST_NOTES) throw new Error(`has more than ${MOST_NOTES} notes; cut it into parts`);
-  if (!count.notes) throw new Error(["holds no note from A0 to C8 outside channel 10, the drums", ...remarks].join("; "));
+  const reason = remarks.length ? ` (${remarks.join("; ")})` : "";
+  if (!count.notes) throw new Error(`holds no note from A0 to C8 outside channel 10, the drums${reason}; give a MIDI file with notes`);
   const end = { order: Infinity, at: seconds + LAST_HELD };
   for (const [midi, channels] of keys) {
     const merged = mergeChannels(midi, channels, released.get(midi) ?? new Map());
