@@ -129,6 +129,18 @@ def test_reverse_mode_equals_forward_mode(prewarped):
         assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
+def test_levels_of_modes_without_weight_have_finite_gradients():
+    """The energy of mode 3 is 0, and its level constant: its derivatives are 0 in both modes of differentiation."""
+    amplitude = jnp.array([1.0, 0.1, 0.0])
+
+    def levels(gain):
+        return model.level_db(gain * amplitude + 0j, jnp.full(3, 2.0))
+
+    forward, reverse = jax.jacfwd(levels)(2.0), jax.jit(jax.jacrev(levels))(2.0)
+    np.testing.assert_allclose(forward, [10 / np.log(10), 10 / np.log(10), 0.0], rtol=1e-12)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+
+
 def test_second_derivatives_against_differences_of_the_gradient():
     def energy(logarithms):
         values = jnp.exp(logarithms)
