@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ from pianofit.result.warnings import velocity_assignment_warning
 from pianofit.schema.fit import Minimum, VelocityDiscrepancyEntry, read_fit
 from pianofit.schema.notes import notes_of_fit
 from pianofit.setup import RecordingInfo, Setup
+from pianofit.threads import numerical_settings
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
 
@@ -60,6 +62,17 @@ def test_a_fit_keeps_blas_to_one_thread_and_gives_back_what_the_caller_had():
         assert set(BLAS_THREADS) == {1}
         assert blas_threads() == before
         assert 1 not in before
+
+
+def test_overlapping_computations_in_threads_give_back_the_threads_of_blas():
+    other = numerical_settings()
+    with threadpool_limits(limits=2, user_api="blas"), ThreadPoolExecutor(1) as pool:
+        before = blas_threads()
+        with numerical_settings():
+            pool.submit(other.__enter__).result()
+        assert set(blas_threads()) == {1}
+        pool.submit(other.__exit__, None, None, None).result()
+        assert blas_threads() == before
 
 
 def test_every_recording_is_shown_with_its_own():

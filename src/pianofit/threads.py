@@ -2,8 +2,10 @@
 
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from .errors import FitError
 
@@ -13,6 +15,10 @@ MAX_PROCESSES = 256
 # what went wrong.
 MEMORY, TIME_LIMIT = 4.0, 3600.0
 _forked = False  # True in a process that was forked after JAX had started
+# Blocks that limit the BLAS at present. The limit holds for all threads of a process.
+_limit_lock = threading.Lock()
+_limited_blocks = 0
+_limit: Any = None  # of threadpoolctl, with the number of threads of the caller
 
 
 def _after_fork() -> None:
@@ -57,10 +63,25 @@ def numerical_settings() -> Iterator[None]:
     can take ten times as long. Decayed sounds underflow, which a caller may have made an error by `numpy.seterr`.
     """
     import numpy as np
+
+    with _one_blas_thread(), np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
+        yield
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Limit the BLAS to one thread. Blocks of several threads overlap in any order: the last one ends the limit."""
+    global _limited_blocks, _limit
     from threadpoolctl import threadpool_limits
 
-    with (
-        threadpool_limits(limits=1, user_api="blas"),
-        np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"),
-    ):
+    with _limit_lock:
+        if not _limited_blocks:
+            _limit = threadpool_limits(limits=1, user_api="blas")
+        _limited_blocks += 1
+    try:
         yield
+    finally:
+        with _limit_lock:
+            _limited_blocks -= 1
+            if not _limited_blocks:
+                _limit.restore_original_limits()
