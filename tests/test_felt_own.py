@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from multiprocessing.reduction import ForkingPickler
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING, strike, table
 
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
+from pianofit.excitation import OTHERS
+from pianofit.felt import LAWS, law_of
 from pianofit.parameters import PARAMETERS
 from pianofit.playback.cached_strike import strike_string, string_tables
 
@@ -131,3 +135,14 @@ def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
         model.strike(modes, HAMMER._replace(K_H=-1e10), steps=640)
     assert not model.strike(modes, HAMMER, steps=64, whole=False).contact_ended
     assert not jax.jit(lambda h: model.strike(modes, h, steps=64).contact_ended)(HAMMER)
+
+
+def test_a_hammer_of_a_law_is_sent_to_another_process():
+    """The laws of this package remain the same objects, which are compared by identity."""
+    felt = again(HAMMER)
+    received = ForkingPickler.loads(ForkingPickler.dumps(felt))
+    assert received == felt
+    assert received.law.name == AGAIN.name
+    assert law_of(received) is received.law
+    for law in (*LAWS.values(), *OTHERS.values()):
+        assert ForkingPickler.loads(ForkingPickler.dumps(law)) is law

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from multiprocessing.reduction import ForkingPickler
 
 import jax
 import numpy as np
@@ -44,6 +45,14 @@ def test_the_gradient_is_that_of_finite_differences():
         change = step * np.eye(len(F.start))[i]
         (above, _), (below, _) = (F.value_and_gradient(F.start + sign * change) for sign in (1, -1))
         assert slope[i] == pytest.approx((above - below) / (2 * step), rel=1e-3, abs=1e-3), F.names[i]
+
+
+def test_it_is_sent_to_another_process():
+    F = objective()
+    value, slope = F.value_and_gradient(F.start)  # it now has a compiled program
+    received = ForkingPickler.loads(ForkingPickler.dumps(F)).value_and_gradient(F.start)
+    assert received[0] == value
+    assert (received[1] == slope).all()
 
 
 def test_it_is_batched_by_jax_inside_a_float32_program():

@@ -7,6 +7,7 @@ import csv
 import json
 import sys
 from dataclasses import replace
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,12 @@ def test_every_number_is_there_by_name():
     assert result().identifiability_statement == written["identifiability_statement"]
     assert result().warnings == tuple(written["warnings"])
     assert copy.copy(result().parameters) == result().parameters
+
+
+def test_a_result_is_sent_to_another_process_after_it_has_computed():
+    loaded = replace(result(), recordings=())
+    assert loaded.derived(lambda draw: draw.t60(1)).value > 0
+    assert ForkingPickler.loads(ForkingPickler.dumps(loaded)).to_dict() == loaded.to_dict()
 
 
 def test_a_name_that_is_not_there_is_a_question():

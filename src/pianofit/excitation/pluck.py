@@ -119,6 +119,9 @@ class PluckLaw(Excitation):
     def __repr__(self) -> str:
         return "PluckLaw()"
 
+    def __reduce__(self) -> str:
+        return "PLUCK"  # pickle finds it by this name, so it remains one object
+
     @property
     def hammer_parameters(self) -> dict[str, Parameter]:
         """The static force, which a fit does not search."""

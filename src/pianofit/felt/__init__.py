@@ -4,8 +4,10 @@ The file of a law holds data and plain arithmetic, so a setup is checked without
 imports, computes the steps of all laws, and `make_hammer` finds a law by its parameters: a new law needs its file only.
 """
 
+import copyreg
 import pkgutil
 from collections.abc import Mapping
+from dataclasses import fields
 from importlib import import_module
 from typing import Any
 
@@ -33,6 +35,20 @@ ALL_PARAMETERS: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values
 def is_builtin(law: Excitation) -> bool:
     """Return true if a law belongs to this package, so that its name in a file identifies it."""
     return (LAWS | OTHERS).get(law.name) is law
+
+
+def _builtin_law(name: str) -> FeltLaw:
+    return LAWS[name]
+
+
+def _reduced(law: FeltLaw) -> tuple[Any, tuple[Any, ...]]:
+    """Return a call that copies a law in another process. Laws of this package remain one object each."""
+    if is_builtin(law):
+        return _builtin_law, (law.name,)
+    return FeltLaw, tuple(getattr(law, own.name) for own in fields(law))
+
+
+copyreg.pickle(FeltLaw, _reduced)
 
 
 def law_of(hammer: Any) -> Any:

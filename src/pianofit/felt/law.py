@@ -38,7 +38,7 @@ class FeltLaw(Excitation):
         positive. A unit that contains N or m states that the value scales with masses or lengths.
     force : `force(u, w, hammer)`, N, for compression u > 0, m, and its speed w, m/s, written in `jax.numpy` or plain
         arithmetic, with the parameters as fields of `hammer`. It must not fall as u rises. Values below 0 count as 0,
-        since a felt does not pull.
+        since a felt does not pull. Only a function of a module can be pickled, and so sent to another process.
     storage : `storage(u, hammer)`, J: the energy that the felt can return. If it is given, hammers whose felt returns
         more are rejected.
     slow : `slow(u, hammer)`, N: force of a relaxing felt in slow compression.
@@ -116,7 +116,9 @@ class FeltLaw(Excitation):
             return self.hammers
         name = self.name.replace("-", "_")
         fields = namedtuple(name, (*self.parameters, *COMMON_PARAMETERS))  # the fields follow from the parameters
-        return type(name, (fields,), {"__slots__": (), "law": self})
+        # Pickle finds no such class by its name.
+        reduced = {"__reduce__": lambda hammer: (_make_hammer, (self, *hammer))}
+        return type(name, (fields,), {"__slots__": (), "law": self, **reduced})
 
     @property
     def hammer_parameters(self) -> dict[str, Parameter]:
@@ -162,6 +164,10 @@ class FeltLaw(Excitation):
 
             check_passive(hammer)
         return hammer
+
+
+def _make_hammer(law: FeltLaw, *values: Any) -> Any:
+    return law.hammer_type(*values)
 
 
 def scale_velocity(values: Mapping[str, Any], law: Excitation, s: Any) -> dict[str, Any]:

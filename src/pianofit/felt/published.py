@@ -1,5 +1,7 @@
 """Priors about published felts and hammers, which all laws of this package share."""
 
+from functools import partial
+
 from ..parameters import PARAMETERS, Parameter
 
 # Prior standard deviations of log(value) around the published hammer for the key. Felts of similar instruments differ
@@ -15,10 +17,10 @@ COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau", "skin")
 
 def published_parameter(name: str) -> Parameter:
     """Return K_H, p or μ with the bounds of the paper, and the published value for the key as prior median."""
+    return PARAMETERS[name]._replace(median=partial(_published_value, name), spread=FELT_SPREAD[name])
 
-    def median(midi: float) -> float:
-        from ..literature import typical  # its curves need SciPy, which help texts must not import
 
-        return getattr(typical(midi).hammer, name)
+def _published_value(name: str, midi: float) -> float:
+    from ..literature import typical  # its curves need SciPy, which help texts must not import
 
-    return PARAMETERS[name]._replace(median=median, spread=FELT_SPREAD[name])
+    return getattr(typical(midi).hammer, name)

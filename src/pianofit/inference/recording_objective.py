@@ -7,7 +7,7 @@ alone it needs values of φ and w. Those that minimise F at one point are used e
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -69,6 +69,9 @@ class RecordingObjective:
 
     def __repr__(self) -> str:
         return f"RecordingObjective of {len(self._problem.recordings)} recordings: {', '.join(self.names)}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {own.name: getattr(self, own.name) for own in fields(self)}  # without programs, which cannot be pickled
 
     @float64
     def __call__(self, log_values: Float[AnyArray, " parameters"]) -> Array:

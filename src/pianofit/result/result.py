@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -50,6 +50,9 @@ class Result:
     minima_notes: tuple[tuple[Note, ...], ...]
     draws: Draws | None = None
     folder: Path | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {own.name: getattr(self, own.name) for own in fields(self)}  # without functions, which cannot be pickled
 
     @property
     def identifiability_statement(self) -> str:
@@ -231,8 +234,7 @@ class Result:
         Parameters
         ----------
         recording : the recording in any form that `fit` takes, or its analysis.
-        gains : gains of the recordings that were fitted through the same output path, dB relative to that of the note;
-            `gains` of this result if None.
+        gains : as for `predict_recording`; `gains` of this result if None.
 
         Returns
         -------
@@ -328,9 +330,7 @@ class Result:
         """
         if self.draws is None:
             if any(q.interval_method == "posterior" for q in self.parameters.values()):
-                raise FitError(
-                    f"the file of the draws, {DRAWS_FILE}, is missing next to fit.json; copy it there, or fit again"
-                )
+                raise FitError(f"the draws, {DRAWS_FILE}, are missing next to fit.json; copy the file, or fit again")
             raise FitError("the fit has no draws; fit with intervals='posterior'")
         return self.draws.to_arviz()
 
