@@ -223,8 +223,13 @@ def test_an_open_scale_of_velocities_is_in_forces_and_in_no_time():
 
 @pytest.mark.parametrize(
     ("function", "error"),
-    [(lambda _: None, ParameterError), (lambda _: [1.0, 2.0], ParameterError), (lambda _: np.nan, FitError)],
-    ids=["nothing", "two numbers", "nan"],
+    [
+        (lambda _: None, ParameterError),
+        (lambda _: [1.0, 2.0], ParameterError),
+        (lambda _: "1.5", ParameterError),
+        (lambda _: np.nan, FitError),
+    ],
+    ids=["nothing", "two numbers", "text", "nan"],
 )
 def test_a_function_that_returns_no_number_is_rejected(function, error):
     with pytest.raises(error, match="function="):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from pianofit.io.number_format import (
     columns,
     counted,
     format_with_interval,
+    number,
     with_half_interval,
     with_interval,
     with_standard_error,
@@ -89,6 +91,10 @@ def test_columns_are_as_wide_as_what_they_hold():
     assert columns([("", "value", "status"), ("kappa", "209.79888838", "fitted"), ("p", "3", "")], right=1) == [
         "              value  status", "kappa  209.79888838  fitted", "p                 3",
     ]  # fmt: skip
+
+
+def test_numbers_of_numpy_are_numbers_and_truth_values_are_not():
+    assert [number(value) for value in (np.float32(0.5), np.int64(3), True, np.True_)] == ["0.5", "3", "–", "–"]
 
 
 def test_one_of_a_kind_is_counted_in_the_singular():

@@ -121,6 +121,8 @@ def test_bad_arguments_are_rejected():
                 function(wrong)
     with pytest.raises(ParameterError, match="tension"):
         F.log_values({"tension": 700.0})
+    with pytest.raises(ParameterError, match="M_H=True"):
+        F.log_values({"M_H": True})
     with pytest.raises(ParameterError, match="float64"):
         jax.jit(F)(F.start)
     assert F.values(F.start)["M_H"] == pytest.approx(float(np.exp(F.start[F.names.index("M_H")])))

@@ -16,6 +16,7 @@ from pianofit.errors import PianofitError
 WRONG: tuple[Any, ...] = ([], {}, object(), b"x", len, 1j, (1, 2, 3), np.array(["x"]))
 F3 = pf.preset("chabassier-F3")
 NOTE = pf.Note(F3.string, F3.hammer, F3.geometry, "bridge-force", 0.1)
+SPRING = pf.FeltLaw("spring", {"k": pf.Parameter("N/m", "stiffness", 1.0, 1e6)}, lambda u, _, felt: felt.k * u)
 TABLE = {"rate": 88_200.0, "n_modes": 32}
 
 
@@ -100,6 +101,9 @@ VALUES = {
     ),
     "c=": (lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry), (np.array([300.0, 320.0]),)),
     "count": (lambda x: NOTE.levels(2.0, count=x), (0, 1.5)),
+    "k=": (lambda x: SPRING.hammer(k=x, M_H=0.01, v_H0=1.0), (True, "2")),
+    "seed": (lambda x: pf.fit(recording(), seed=x), (True, -1)),
+    "start": (lambda x: pf.fit(recording(), start={"M_H": x}), (True, 0.0)),
     "displacement": (CALLS["displacement"], (np.zeros(3), np.full(64, np.nan))),
     "gains": (
         lambda x: pf.predict_recording(NOTE, recording(), gains=x),
@@ -134,9 +138,18 @@ def faults() -> Iterator[str]:
             words = refusal(call, wrong)
             if words is None or word not in words or "\n" in words:
                 yield f"{word} = {wrong!r}: {words!r}"
+    yield from refused_numbers()
+
+
+def refused_numbers() -> Iterator[str]:
+    """Yield names of numbers that are valid but refused, such as those of NumPy."""
     one = pf.NoteOptions(keys=("C5", "C5"), seconds=0.05, rate=np.int64(22_050))  # pyright: ignore[reportArgumentType]
     if len([*pf.notes(np.int64(1), options=one)]) != 1:  # pyright: ignore[reportArgumentType]
         yield "a whole number of NumPy is refused"
+    if SPRING.hammer(k=np.float32(2.0), M_H=np.float64(0.01), v_H0=np.int64(1)).k != 2.0:
+        yield "a number of NumPy is refused"
+    if "no such file" not in str(refusal(lambda x: pf.load_recording("none.wav", channel=x), np.int64(2))):
+        yield "a channel of NumPy is refused"
     for note in ("A4", "69", 69, np.int64(69)):
         if pf.analyse(recording(), note=note).note != "A4":
             yield f"note = {note!r}"

@@ -195,7 +195,7 @@ def check_start(
     for own in starts:
         check_type("start=", own, Mapping, "values in SI units by name, or a list of such guesses")
         for name, value in own.items():
-            if not (isinstance(value, Real) and 0 < value < math.inf):
+            if isinstance(value, bool) or not (isinstance(value, Real) and 0 < value < math.inf):
                 raise ParameterError(f"start=: {name}={value!r} must be a positive number in SI units")
     if budget is not None:
         check_type("budget=", budget, Integral, "a whole number of steps")

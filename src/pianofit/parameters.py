@@ -13,7 +13,7 @@ from numbers import Integral
 from typing import Any, NamedTuple
 
 from .errors import ParameterError, check_range
-from .io.number_format import summary
+from .io.number_format import is_number, summary
 
 # Width of a box in standard deviations of its prior, 2 · 1.96, unless a spread is given: the box is the 95 % interval.
 BOX_WIDTH = 3.92
@@ -159,7 +159,7 @@ def check(
         if name not in bounds:
             raise ParameterError(f"{where}: no parameter is called {name!r}; use one of {', '.join(bounds)}")
         box = bounds[name]
-        if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
+        if not (is_number(value) and box.lower <= value <= box.upper):
             unit = "" if box.unit == "1" else f" {box.unit}"
             raise ParameterError(
                 f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g}{unit}"
@@ -175,5 +175,5 @@ def check_velocity(velocity: float | None) -> None:
 
 def check_seed(seed: int) -> None:
     """Raise a `ParameterError` if `seed` is not a whole number from 0."""
-    if not isinstance(seed, Integral) or seed < 0:
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise ParameterError(f"seed={seed!r} must be a whole number from 0")

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from ..errors import ParameterError, check_type
 from ..felt import ALL_PARAMETERS
+from ..io.number_format import is_number
 from ..x64 import AnyArray, float64, x64_scope
 from .density import DensityContext, density_context_at, negative_log_density
 from .objective import Objective
@@ -110,7 +111,7 @@ class RecordingObjective:
         for name, value in values.items():
             if name not in self.names:
                 raise ParameterError(f"values=: no free parameter is called {name!r}; use {', '.join(self.names)}")
-            if not (isinstance(value, int | float) and 0 < value < np.inf):
+            if not (is_number(value) and value > 0):
                 raise ParameterError(f"values=: {name}={value!r} must be a positive number")
         return np.log([values.get(name, own) for name, own in zip(self.names, np.exp(self.start), strict=True)])
 

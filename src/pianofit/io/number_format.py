@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 from decimal import Decimal
+from numbers import Real
 from typing import Any
 
 # Larger numbers overflow when squared.
@@ -24,8 +25,10 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def is_number(value: Any) -> bool:
-    """Return True for a finite number, not a bool, that can be squared without overflow."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    """Return True for a finite number, of NumPy too, but not a bool, that can be squared without overflow."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    return abs(value if isinstance(value, int) else float(value)) <= LARGEST  # float32 has no 1e300
 
 
 def first_of(texts: Sequence[str], separator: str = ", ") -> str:
@@ -180,7 +183,7 @@ def _needs_power(value: float) -> bool:
 def _to_place(value: float, place: int, like: float) -> str:
     """Return `value` with `place` decimals, and with a power of ten if `like` needs one."""
     power = exponent_of(like) if _needs_power(like) or place < 0 else 0
-    text = f"{Decimal(value).scaleb(-power):.{max(0, place + power)}f}"
+    text = f"{Decimal(float(value)).scaleb(-power):.{max(0, place + power)}f}"
     return f"{text}e{power:+03d}" if power else text
 
 
@@ -192,7 +195,7 @@ def _scale(value: float, digits: int, with_power: bool = False) -> tuple[int, in
 
 
 def _fixed(value: float, power: int, decimals: int) -> str:
-    return f"{Decimal(value).scaleb(-power):.{decimals}f}".replace("-", "−")
+    return f"{Decimal(float(value)).scaleb(-power):.{decimals}f}".replace("-", "−")
 
 
 def _times(power: int) -> str:

@@ -1,6 +1,7 @@
 """Offset, noise floor, clipping and channels of a recording."""
 
 import math
+from numbers import Integral
 
 import numpy as np
 
@@ -99,7 +100,7 @@ def _flat_runs(y: np.ndarray, step: float) -> np.ndarray:
 
 def checked_channel(channel: str | int) -> str:
     """Return the name or number of a channel as a text. Raises a `ParameterError` for another value."""
-    name = channel if isinstance(channel, str) else str(channel) if type(channel) is int else ""
+    name = str(channel) if isinstance(channel, str | Integral) else ""  # a bool has no such name
     if name not in CHANNELS:
         raise ParameterError(f"channel={short_repr(channel)} must be average, left, right, or a number from 1 to 8")
     return name

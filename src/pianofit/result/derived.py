@@ -253,6 +253,8 @@ class DrawSet:
 def _number(function: Callable[[ModelDraw], Any], draw: ModelDraw) -> float:
     value = function(draw)
     try:
+        if isinstance(value, str | bytes):
+            raise TypeError  # float() would read a number from it
         found = float(value)
     except (TypeError, ValueError):
         kind = type(value).__name__
