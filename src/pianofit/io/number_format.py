@@ -28,7 +28,7 @@ def is_number(value: Any) -> bool:
     """Return True for a finite number, of NumPy too, but not a bool, that can be squared without overflow."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
-    return abs(value if isinstance(value, int) else float(value)) <= LARGEST  # float32 has no 1e300
+    return -LARGEST <= (value if isinstance(value, int) else float(value)) <= LARGEST  # float32 has no 1e300
 
 
 def first_of(texts: Sequence[str], separator: str = ", ") -> str:
