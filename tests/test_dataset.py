@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -215,7 +216,9 @@ def test_notes_are_drawn_around_an_instrument_and_a_fit(tmp_path):
         assert one.labels["onset"] == pytest.approx(shift / one.rate)
         assert np.abs(again - one.samples).max() < 1e-6
     fit = write_fit(tmp_path / "fit", 52, fit_document(true_note(52), ERRORS))
-    around = NoteOptions(seconds=0.1, around=str(fit.parent), spread=0.3, path=True)
+    around = NoteOptions(seconds=0.1, around=fit.parent, spread=0.3, path=True)
+    for same in (around, replace(around, around=str(fit.parent))):  # a path or a text
+        assert write_dataset(tmp_path / "set", 1, options=same, progress=False).sounds == 1
     made = list(notes(6, options=around))
     assert {one.midi for one in made} == {52}
     assert np.ptp([one.labels["M_H"] for one in made]) > 0

@@ -102,6 +102,7 @@ VALUES = {
     "c=": (lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry), (np.array([300.0, 320.0]),)),
     "count": (lambda x: NOTE.levels(2.0, count=x), (0, 1.5)),
     "k=": (lambda x: SPRING.hammer(k=x, M_H=0.01, v_H0=1.0), (True, "2")),
+    "progress": (lambda x: pf.write_dataset("none", 1, progress=x), ("x", 1, {})),
     "seed": (lambda x: pf.fit(recording(), seed=x), (True, -1)),
     "start": (lambda x: pf.fit(recording(), start={"M_H": x}), (True, 0.0)),
     "displacement": (CALLS["displacement"], (np.zeros(3), np.full(64, np.nan))),

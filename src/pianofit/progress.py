@@ -4,6 +4,8 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 
+from .errors import check_type
+
 # Called with the name of a stage and the completed fraction.
 Progress = Callable[[str, float], None]
 
@@ -11,6 +13,7 @@ Progress = Callable[[str, float], None]
 @contextlib.contextmanager
 def progress_bar(progress: Progress | bool | None = None) -> Iterator[Progress]:
     """Return the function to report progress to: the given one, none for False, or by default a bar or a line."""
+    check_type("progress=", progress, Callable | bool | None, "a function of stage and fraction, True, False or None")
     if callable(progress):
         yield progress
     elif progress is False:

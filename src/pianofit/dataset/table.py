@@ -80,8 +80,8 @@ def note_from_labels(labels: Mapping[str, Any], centre: Note | None = None) -> N
     Parameters
     ----------
     labels : the row by column; numbers may be texts, as `csv.DictReader` returns them.
-    centre : for data drawn around a fitted key with its output path or modal response, the note of the fit. The table
-        does not contain these two.
+    centre : for data drawn around a fitted key with `path=True` or `modal_response=True`, the note of the fit. The
+        table does not contain its output path and modal response. Leave it out for other data: the path is added.
 
     Returns
     -------

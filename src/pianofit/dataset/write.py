@@ -134,8 +134,7 @@ def write_dataset(
         path_frequencies_hz=tuple(PATH_FREQUENCIES.tolist()),
         columns=(Column("file", "", "sound, relative to the folder"), *columns_of(options, [*source.notes.values()])),
     )
-    _check_folder(path, record)
-    with _locked(path), progress_bar(progress) as report:
+    with progress_bar(progress) as report, _locked(path, record):
         replace_file(path / DATASET_FILE, encode_json(record))
         missing = [block for block in _blocks(record) if not _is_complete(path, block)]
         made = 0
@@ -187,8 +186,9 @@ def _differences(record: DatasetFile) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Lock the folder for one run, and remove unfinished blocks of an interrupted one."""
+def _locked(path: Path, record: DatasetFile) -> Iterator[None]:
+    """Check and lock the folder for one run, and remove unfinished blocks of an interrupted one."""
+    _check_folder(path, record)
     try:
         (path / BLOCKS).mkdir(exist_ok=True)
         with locked(path / LOCK, f"{printable(path)}: another run writes this data set; wait for it"):

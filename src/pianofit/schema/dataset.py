@@ -2,7 +2,7 @@
 
 import os
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta
 
@@ -15,6 +15,12 @@ LARGEST_DATASET = 2**20
 HINT = "give the folder that pianofit dataset wrote, or another --out"
 SoundFormat = Literal["flac", "wav", "npz"]
 Whole = Annotated[int, Meta(ge=0)]
+if TYPE_CHECKING:
+    AnyPath = str | os.PathLike[str]
+    Keys = tuple[str | int, str | int] | list[str | int] | list[str] | list[int]
+    Levels = tuple[float, float] | list[float]
+else:  # the types in files, which msgspec checks
+    AnyPath, Keys, Levels = str, tuple[str | int, str | int], tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -47,15 +53,19 @@ class NoteOptions:
     44100
     """
 
-    keys: tuple[str | int, str | int] | None = None
+    keys: Keys | None = None
     seconds: float = 1.0
     rate: int = 44_100
     layers: int = 1
     path: bool = False
-    noise_db: float | tuple[float, float] | None = None
+    noise_db: float | Levels | None = None
     modal_response: bool = False
-    around: str | None = None
+    around: AnyPath | None = None
     spread: float = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.around, os.PathLike):
+            object.__setattr__(self, "around", os.fspath(self.around))
 
 
 @dataclass(frozen=True)
