@@ -72,6 +72,14 @@ def test_a_result_is_sent_to_another_process_after_it_has_computed():
     assert ForkingPickler.loads(ForkingPickler.dumps(loaded)).to_dict() == loaded.to_dict()
 
 
+def test_a_fit_is_equal_only_to_itself():
+    """Its arrays have no single truth value when they are compared."""
+    fit = result().fit
+    assert fit == fit
+    assert fit != copy.deepcopy(fit)
+    assert fit.recordings[0].partials != copy.deepcopy(fit.recordings[0].partials)
+
+
 def test_a_name_that_is_not_there_is_a_question():
     with pytest.raises(AttributeError, match="did you mean K_H"):
         _ = result().parameters.KH

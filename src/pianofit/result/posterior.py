@@ -32,7 +32,7 @@ DRAWS_PER_SLOPE = 3
 ENDS = (0.025, 0.975)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointDraws:
     """Draws of all parameters and velocities by name [draws], in SI units; fixed ones have one value [1]."""
 
@@ -59,7 +59,7 @@ class JointDraws:
         return low, high
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mixture:
     """The Gaussians of all minima, and which numbers gave each draw."""
 

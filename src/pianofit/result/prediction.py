@@ -39,7 +39,7 @@ FEWEST_PARTIALS = 3
 ENDLESS_CONTACT_COST = 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """Prediction of one recording by a fit."""
 

@@ -28,7 +28,7 @@ HINT = "give the folder that pianofit batch wrote"
 KeyNumber = Annotated[int, Meta(ge=LOWEST_KEY, le=HIGHEST_KEY)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DamperEntry:
     """The damper of a key in one recording."""
 
@@ -72,7 +72,7 @@ class SoundEntry:
         return self.scale * samples, rate
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NoiseFloor:
     """Stationary noise with the spectrum of the recordings, as it stands in a file and in memory."""
 

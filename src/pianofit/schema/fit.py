@@ -47,7 +47,7 @@ PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure",
 ExcitationName = Literal["hammer", "pluck"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VelocityDiscrepancyEntry:
     """Velocity discrepancy of an output path."""
 
@@ -64,7 +64,7 @@ class VelocityDiscrepancyEntry:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathEntry:
     """An output path at its partials, Hz and dB [partials]."""
 
@@ -136,7 +136,7 @@ class LevelErrors:
     partials: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartialLevels:
     """Compared levels of one recording, dB in the unit of the pickup [partials]."""
 
@@ -186,7 +186,7 @@ class RecordingFit(NoteRecording):
     midi_velocity: MidiVelocity | None = None  # of the layer in its library, if the setup gives it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Minimum:
     """One minimum of the objective."""
 
@@ -213,7 +213,7 @@ class DrawsFile:
     sha256: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class NoteFile:
     """The entries that define a note."""
 
@@ -237,7 +237,7 @@ class NoteFile:
         return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Fit(NoteFile):
     """A fit: all that it reports."""
 

@@ -57,7 +57,7 @@ class VelocityCurve:
         return float(np.clip(velocity, V_H0.lower, V_H0.upper))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KeyboardLaw:
     """One quantity over the 88 keys."""
 

@@ -38,7 +38,7 @@ MAGIC = {"flac": b"fLaC", "wav": b"RIFF"}
 HINT = "give the files that pianofit fit wrote"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ComplexRow:
     """Complex numbers."""
 
@@ -59,7 +59,7 @@ def _matrix(rows: tuple[ComplexRow, ...]) -> np.ndarray:
     return np.array([row.real + 1j * row.imag for row in rows])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModeTable:
     """Modes as columns [modes]."""
 
@@ -84,7 +84,7 @@ class ModeTable:
         object.__setattr__(self, "partial", self.partial.astype(int))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VelocityGainEntry:
     """Velocity gain: a complex factor of each mode for each stroke, at increasing velocities, m/s."""
 

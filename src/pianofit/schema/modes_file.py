@@ -9,7 +9,7 @@ import numpy as np
 from .instrument import KeyState, KeyValue
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModeColumns:
     """Modes of a key as columns [modes]."""
 
@@ -19,7 +19,7 @@ class ModeColumns:
     damper: np.ndarray  # decay rate that the damper adds, 1/s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ForceEntry:
     """A stroke: the impulses of the hammer force, and what each mode makes of them."""
 
@@ -32,7 +32,7 @@ class ForceEntry:
     knock_change: np.ndarray  # share of each of the key's `knock_changes` in the knock of this stroke [strokes]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModesKey:
     """One key."""
 
