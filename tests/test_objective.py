@@ -115,6 +115,8 @@ def test_a_bad_guess_is_rejected(given, word):
 
 def test_bad_arguments_are_rejected():
     F = objective()
+    with pytest.raises(ValueError, match="read-only"):
+        F.start[0] = 0.0
     for wrong in (F.start[:3], F.start[:1]):
         for function in (F, F.value_and_gradient, F.values):
             with pytest.raises(ParameterError, match="log_values"):

@@ -72,6 +72,14 @@ def test_a_result_is_sent_to_another_process_after_it_has_computed():
     assert ForkingPickler.loads(ForkingPickler.dumps(loaded)).to_dict() == loaded.to_dict()
 
 
+def test_a_result_is_read_only():
+    with pytest.raises(AttributeError, match="c cannot be changed"):
+        result().parameters.c = 1.0  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(ValueError, match="read-only"):
+        result().covariance.matrix[0, 0] = 1.0
+    assert copy.deepcopy(result().parameters) == result().parameters
+
+
 def test_a_fit_is_equal_only_to_itself():
     """Its arrays have no single truth value when they are compared."""
     fit = result().fit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,13 @@ CALLS = {
     "velocity of levels": lambda x: NOTE.levels(x),
     "cents": NOTE.with_cents,
     "path of a fit": lambda x: pf.find_fits([x]),
+    "string of a grid": lambda x: pf.contact_grid(x, F3.hammer, F3.geometry),
+    "hammer of a grid": lambda x: pf.contact_grid(F3.string, x, F3.geometry),
+    "geometry of a grid": lambda x: pf.contact_grid(F3.string, F3.hammer, x),
+    "name": lambda x: pf.FeltLaw(x, {}, force=max),
+    "gain": lambda x: NOTE._replace(gain=x).render(seconds=0.1),
+    "path of extras": lambda x: pf.load_extras([x], ""),
+    "path of answers": lambda x: pf.count_answers([x]),
     "path of a key": lambda x: pf.load_keys([x]),
     "path of an instrument": pf.load_instrument,
     "path of a listening test": lambda x: pf.write_listening_test("a", "b", x),
@@ -102,6 +110,22 @@ VALUES = {
     "c=": (lambda x: pf.simulate(F3.string._replace(c=x), F3.hammer, F3.geometry), (np.array([300.0, 320.0]),)),
     "count": (lambda x: NOTE.levels(2.0, count=x), (0, 1.5)),
     "k=": (lambda x: SPRING.hammer(k=x, M_H=0.01, v_H0=1.0), (True, "2")),
+    "drive": (lambda x: pf.levels(modes(), x), (np.ones((2, 32)), np.zeros(0), np.array(1.0), np.ones(32, complex))),
+    "frequency": (lambda x: pf.spectrum(modes(), np.ones(32), x, 30.0), (np.ones((2, 3)), np.array(1.0))),
+    "length=0": (lambda x: pf.mode_table(F3.string, F3.geometry._replace(length=x), **TABLE), (0.0, 0)),
+    "parameters=": (lambda x: pf.FeltLaw("own", x, force=max), (None, 3, [])),
+    "storage=": (lambda x: pf.FeltLaw("own", {}, force=max, storage=x), (3, "E")),
+    "unit=": (lambda x: pf.FeltLaw("own", {"k": pf.Parameter(x, "", 1.0, 2.0)}, force=max), (3, None)),
+    "lower=": (lambda x: pf.FeltLaw("own", {"k": pf.Parameter("1", "", x, 2.0)}, force=max), ("a", None, True)),
+    "gain=": (lambda x: NOTE._replace(gain=x).render(seconds=0.1), (np.nan, "a", np.inf)),
+    "cents=": (NOTE.with_cents, (np.nan, np.inf)),
+    "velocity=": (NOTE._replace(hammer=pf.Pluck(1.0)).levels, (np.array([1.0, 2.0]), "a", 2.0)),
+    "weight": (lambda x: pf.predict_recording([(x, NOTE)], recording()), (0.0, -1.0, np.nan, True)),
+    "finite as float32": (lambda x: pf.encode_wav(x, 22_050), (np.full(3, 1e39), np.array([np.nan]))),
+    "paths=": (pf.find_fits, ("batch", Path("batch"))),
+    "paths": (lambda x: pf.load_extras(x, ""), ("batch", Path("batch"))),
+    "files=": (pf.load_keys, ("fit.json", None)),
+    "files": (pf.count_answers, ("answers.json", None)),
     "progress": (lambda x: pf.write_dataset("none", 1, progress=x), ("x", 1, {})),
     "seed": (lambda x: pf.fit(recording(), seed=x), (True, -1)),
     "start": (lambda x: pf.fit(recording(), start={"M_H": x}), (True, 0.0)),

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any, NamedTuple
 
-from .errors import ParameterError, check_range
+from .errors import ParameterError, check_range, check_type
 from .io.number_format import is_number, summary
 
 # Width of a box in standard deviations of its prior, 2 · 1.96, unless a spread is given: the box is the 95 % interval.
@@ -125,7 +125,11 @@ class Parameter(NamedTuple):
         return math.log(self.upper / self.lower) / BOX_WIDTH if self.spread is None else self.spread
 
     def check(self, where: str) -> None:
-        """Raise a `ParameterError` if the bounds are invalid, or the prior is outside them."""
+        """Raise a `ParameterError` if a type or the bounds are invalid, or the prior is outside the bounds."""
+        kinds = (str, str, Real, Real, Real | Callable | None, Real | None)
+        for name, kind in zip(self._fields, kinds, strict=True):
+            expected = "a text" if kind is str else "a number" if kind is Real else "a number; see Parameter"
+            check_type(f"{where}: {name}=", getattr(self, name), kind, expected)
         if not 0 < self.lower < self.upper < math.inf:
             raise ParameterError(f"{where}: bounds {self.lower!r} to {self.upper!r} must be positive and increasing")
         if not (self.median is None or callable(self.median) or self.lower <= self.median <= self.upper):

@@ -201,6 +201,10 @@ def _is_array(value: Any) -> bool:
     return isinstance(value, np.ndarray | jax.Array) and is_numeric(value)
 
 
+def _is_row(value: Any) -> bool:
+    return _is_array(value) and value.ndim == 1 and np.isrealobj(value)
+
+
 def _is_scalar(value: Any) -> bool:
     return is_numeric(value) and np.ndim(value) == 0
 
@@ -231,7 +235,9 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "sigma": (is_numeric, "a number"),
     "samples": (lambda value: _is_whole(value, 0), "a whole number from 0"),
     **dict.fromkeys(("rate", "length", "force"), (_is_scalar, "a number")),
-    **dict.fromkeys(("drive", "frequency", "strike_weights"), (_is_array, "an array of numbers")),
+    "drive": (lambda value: _is_row(value) and value.size > 0, "an array of numbers [steps]"),
+    "frequency": (_is_row, "an array of numbers [bins]"),
+    "strike_weights": (_is_array, "an array of numbers"),
     **dict.fromkeys(("n_modes", "steps", "oversampling"), (_is_whole, "a whole number above 0")),
     **dict.fromkeys(("quantity", "kind"), (lambda value: isinstance(value, str), "a string")),
 }

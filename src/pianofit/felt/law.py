@@ -86,11 +86,15 @@ class FeltLaw(Excitation):
     key_quantities: ClassVar[tuple[str, ...]] = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
 
     def __post_init__(self) -> None:
+        check_type("felt law: name=", self.name, str, "a text")
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
             raise ParameterError(
                 f"felt law {self.name!r}: the name must be letters, digits and hyphens, a letter first"
             )
-        check_type(f"felt law {self.name!r}: force=", self.force, Callable, "a function of u, w and the hammer")
+        for name in ("force", "storage", "slow", "base"):
+            kinds = Callable if name == "force" else Callable | None
+            check_type(f"felt law {self.name!r}: {name}=", getattr(self, name), kinds, "a function; see FeltLaw")
+        check_type(f"felt law {self.name!r}: parameters=", self.parameters, Mapping, "a Parameter for each name")
         for name, parameter in self.parameters.items():
             check_type(f"felt law {self.name!r}: {name}=", parameter, Parameter, "a Parameter")
             if not name.isidentifier() or iskeyword(name) or name.startswith("_") or name in RESERVED_NAMES:

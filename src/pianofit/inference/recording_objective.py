@@ -68,6 +68,10 @@ class RecordingObjective:
     _problem: FitProblem
     _context: DensityContext
 
+    def __post_init__(self) -> None:
+        for values in (self.start, self.lower, self.upper):
+            values.setflags(write=False)
+
     def __repr__(self) -> str:
         return f"RecordingObjective of {len(self._problem.recordings)} recordings: {', '.join(self.names)}"
 

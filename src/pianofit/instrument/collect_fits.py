@@ -23,7 +23,7 @@ from ..excitation import Excitation
 from ..felt import SoftHammer, law_of
 from ..felt.law import scale_velocity
 from ..felt.soft_skin import SOFT_SKIN
-from ..io.files import as_path, printable
+from ..io.files import as_paths, printable
 from ..model.modal_response import ModalResponse, decays_and_beats
 from ..model.note import Note
 from ..parameters import PARAMETERS, Hammer
@@ -89,7 +89,7 @@ def find_fits(paths: Sequence[str | os.PathLike[str]], prefix: str | None = None
     ['cp80-C4', 'cp80-E4']
     """
     found: list[Path] = []
-    paths = [as_path(path) for path in paths]
+    paths = as_paths("paths", paths)
     for path in paths:
         if path.is_file():
             found.append(path)
@@ -114,7 +114,7 @@ def find_fits(paths: Sequence[str | os.PathLike[str]], prefix: str | None = None
     return found
 
 
-def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
+def load_extras(paths: Sequence[str | os.PathLike[str]], instrument: str) -> list[KeyExtras]:
     """Read what a batch measured of dampers, release noise and noise floors.
 
     Parameters
@@ -140,7 +140,7 @@ def load_extras(paths: Sequence[Path], instrument: str) -> list[KeyExtras]:
     []
     """
     files: list[Path] = []
-    for path in paths:
+    for path in as_paths("paths", paths):
         files += path.parent.glob(EXTRAS_FILE) if path.is_file() else key_files(path, EXTRAS_FILE)
     return [read_extras(file) for file in files if instrument_name(file) == instrument]
 
@@ -189,8 +189,8 @@ def load_keys(files: Sequence[str | os.PathLike[str]]) -> list[KeyFit]:
     [60, 64]
     """
     found: dict[int, _CheckedFit] = {}
-    for file in files:
-        key = _checked_fit(as_path(file))
+    for file in as_paths("files", files):
+        key = _checked_fit(file)
         if (other := found.get(key.midi)) is not None:
             raise FitError(
                 f"{key.name}: is {midi_to_note(key.midi)}, and so is {other.name}; leave one out, or choose an "

@@ -13,7 +13,7 @@ import re
 import stat
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal
@@ -49,6 +49,12 @@ def as_path(path: str | os.PathLike[str]) -> Path:
     """Return a path. Raise a `ParameterError` for a value that is not a path."""
     check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
     return Path(path)
+
+
+def as_paths(name: str, paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
+    """Return a list of paths. Raise a `ParameterError` for anything else, such as a single path."""
+    check_type(f"{name}=", paths, list | tuple, "a list of paths")
+    return [as_path(path) for path in paths]
 
 
 def path_name(path: str | os.PathLike[str]) -> str:
@@ -333,8 +339,8 @@ def encode_wav(samples: np.ndarray, rate: int, *, bits: Literal[32, 64] = 32) ->
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
             f"samples] with at most {MAX_CHANNELS} channels; transpose them, or divide integers by full scale"
         )
-    if not rows.size or not np.isfinite(samples).all():
-        raise ParameterError(f"samples of shape {samples.shape} must be finite, and at least one")
+    if not rows.size or not (np.abs(samples) <= np.finfo(np.float32).max).all():
+        raise ParameterError(f"samples of shape {samples.shape} must be finite as float32, and at least one")
     from scipy.io import wavfile
 
     stream = io.BytesIO()

@@ -1,12 +1,12 @@
 """Count the answers of listening tests: hits by condition, with intervals and p values."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ..errors import ParameterError
-from ..io.files import printable
+from ..io.files import as_paths, printable
 from ..schema.listening import read_answers
 
 
@@ -21,7 +21,7 @@ class Count:
     interval: tuple[float, float]  # of the share of hits, 95 %, Clopper and Pearson (1934)
 
 
-def count_answers(files: Sequence[Path]) -> list[Count]:
+def count_answers(files: Sequence[str | os.PathLike[str]]) -> list[Count]:
     """Count the answers of all files by condition.
 
     Parameters
@@ -52,11 +52,12 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 
     hits: dict[str, list[bool]] = {}
     contents: list[Any] = []
-    for path in files:
+    paths = as_paths("files", files)
+    for path in paths:
         answers, content = read_answers(path)
         if content in contents:
             raise ParameterError(
-                f"{printable(path)}: has the same answers as {printable(files[contents.index(content)])}; give each "
+                f"{printable(path)}: has the same answers as {printable(paths[contents.index(content)])}; give each "
                 "file once"
             )
         contents.append(content)

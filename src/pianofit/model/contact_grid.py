@@ -11,6 +11,7 @@ import numpy as np
 from ..felt import law_of
 from ..io.number_format import summary
 from ..parameters import Geometry, String
+from ..x64 import float64
 from .contact import Pulse
 from .simulate import MAX_STEPS, StrikeConfig, check_stroke, contact_rate, count_modes, endless_contact
 from .strokes import strokes
@@ -27,6 +28,7 @@ class ContactGrid(NamedTuple):
         return summary(self)
 
 
+@float64
 def contact_grid(string: String, hammer: Any, geometry: Geometry, *, rate: float = 44_100.0) -> ContactGrid:
     """Return the contact rate, the number of modes, and the number of steps that a stroke needs.
 

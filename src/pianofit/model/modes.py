@@ -156,6 +156,8 @@ def mode_table(
         raise ParameterError(f"kind={kind!r} must be continuous or finite_difference")
     if not isinstance(rate, Tracer) and not rate > 0:
         raise ParameterError(f"rate={rate} Hz must be above 0")
+    if not isinstance(geometry.length, Tracer) and not geometry.length > 0:
+        raise ParameterError(f"length={geometry.length} m must be above 0")
     prewarp = kind == "continuous"
     step = jnp.asarray(1.0 / rate)
     beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)

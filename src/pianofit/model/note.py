@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +18,7 @@ from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
 from ..io.containers import RATES
-from ..io.number_format import summary
+from ..io.number_format import is_number, summary
 from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
@@ -145,9 +145,7 @@ class Note(NamedTuple):
         """Raise a `ParameterError` if a velocity is given for a note without a hammer."""
         law = law_of(self.hammer)
         if velocity is not None and not law.has_contact:
-            raise ParameterError(
-                f"velocity={velocity:g} m/s: the note is {law.words.verb} and has no hammer velocity; leave it out"
-            )
+            check_type("velocity=", velocity, (), f"left out, because the note is {law.words.verb} without a hammer")
 
     def with_cents(self, cents: float) -> Note:
         """Return the note transposed by `cents`, with the same decay rates.
@@ -155,9 +153,10 @@ class Note(NamedTuple):
         Raises
         ------
         ParameterError
-            If `cents` is not a number.
+            If `cents` is not a finite number.
         """
-        check_type("cents=", cents, Real, "a number")
+        if not is_number(cents):
+            check_type("cents=", cents, (), "a finite number")
         ratio = 2 ** (cents / 1200)
         modal_response = None if self.modal_response is None else self.modal_response.scale_pitch(ratio)
         return self._replace(string=self.string._replace(c=self.string.c * ratio), modal_response=modal_response)
@@ -191,6 +190,8 @@ class Note(NamedTuple):
             If the contact does not end.
         """
         check_render(velocity, seconds, rate)
+        if not (is_numeric(self.gain) and np.ndim(self.gain) == 0 and np.isfinite(self.gain)):
+            check_type("gain=", self.gain, (), "one finite number, in file units per unit of the pickup")
         note = self if velocity is None else self.with_velocity(velocity)
         frames = note.render_channels(note.strike(rate), rate, round(seconds * rate), round(note.pre_onset_s * rate))
         return frames.mean(axis=0) if mono else frames

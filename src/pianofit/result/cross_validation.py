@@ -64,7 +64,7 @@ def cross_validate(
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     note: str | int | None = None,
     f0: float | None = None,
-    channel: str = "average",
+    channel: str | int = "average",
     seed: int = 0,
     progress: Progress | bool | None = None,
     analyses: Sequence[Analysis] | None = None,

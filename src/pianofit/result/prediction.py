@@ -6,7 +6,6 @@ Only hammer velocity, gain and pitch are fitted to it. The residual of its parti
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,13 @@ import numpy as np
 from ..analysis import SAME_KEY_CENTS, Analysis, analyse, cents_above, hz_to_note, law_frequency
 from ..criterion import level_error_db
 from ..dsp.knock_band import centre
-from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
+from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_range, check_type
 from ..excitation import StrokeParameter
 from ..felt import law_of
 from ..inference.observation_tables import pitch_above
 from ..inference.priors import KNOCK_SD, LEVEL, log_gain
 from ..io.files import printable, short_repr
-from ..io.number_format import counted, is_number
+from ..io.number_format import LARGEST, counted, is_number
 from ..model.note import Note
 from ..model.output_path import SAME_PARTIAL_TOLERANCE
 from ..recording.recording import Recording, Source, to_recording
@@ -160,7 +159,9 @@ def _mixture(notes: Sequence[tuple[float, Note]]) -> list[tuple[float, Note]]:
         check_type("notes: ", pair, tuple | list, expected)
         if len(pair) != 2 or not isinstance(pair[1], Note):
             raise ParameterError(f"notes: {short_repr(pair)} must be (weight, note)")
-        check_type("notes: the weight ", pair[0], Real, "a number")
+        check_range("notes: the weight ", pair[0], 0.0, LARGEST)
+    if notes and not any(weight for weight, _ in notes):
+        raise ParameterError("notes: all weights are 0; give a weight above 0")
     return [*notes]
 
 

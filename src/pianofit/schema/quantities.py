@@ -144,9 +144,10 @@ class Quantities(Mapping[str, Quantity]):
     """Quantities by name, in order: a mapping, `table["K_H"]`, whose names are attributes too."""
 
     entry_type = Quantity
+    entries: dict[str, Quantity]
 
     def __init__(self, entries: Mapping[str, Quantity]) -> None:
-        self.entries = dict(entries)
+        vars(self)["entries"] = dict(entries)
 
     @classmethod
     def of(cls, quantities: Iterable[Quantity]) -> Quantities:
@@ -181,6 +182,9 @@ class Quantities(Mapping[str, Quantity]):
         if name not in self.entries:
             raise AttributeError(_missing(name, tuple(self)))
         return self.entries[name]
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{name} cannot be changed; make other Quantities")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
@@ -250,6 +254,9 @@ class Covariance:
     def __post_init__(self) -> None:
         if self.matrix.shape != (len(self.names),) * 2:
             raise ValueError("Expected a square matrix with a row for each name")
+        matrix = self.matrix.view()
+        matrix.setflags(write=False)
+        object.__setattr__(self, "matrix", matrix)
 
     @property
     def is_valid(self) -> bool:
