@@ -12,6 +12,7 @@ from conftest import CHECKED
 from jaxtyping import TypeCheckError
 
 import pianofit as pf
+from pianofit import model
 from pianofit.model.differentiable_sums import sum_damped_exponentials, z_transform
 
 SOURCE = Path(pf.__file__).parent
@@ -44,8 +45,8 @@ def test_a_table_in_place_of_a_row_is_refused():
 def test_a_real_array_in_place_of_a_complex_one_is_refused():
     it = pf.preset("bensa-final")
     modes = pf.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=8)
-    with pytest.raises(TypeCheckError, match="drive"):
-        pf.spectrum(modes, np.ones(64, complex), np.array([100.0]), 30.0)
+    with pytest.raises(TypeCheckError, match="zeta"):
+        model.mobility(modes, np.ones(3))
 
 
 def test_a_whole_number_is_a_number():

@@ -126,7 +126,7 @@ class Parameter(NamedTuple):
 
     def check(self, where: str) -> None:
         """Raise a `ParameterError` if a type or the bounds are invalid, or the prior is outside the bounds."""
-        kinds = (str, str, Real, Real, Real | Callable | None, Real | None)
+        kinds = (str, str, Real, Real, (Real, Callable, type(None)), (Real, type(None)))
         for name, kind in zip(self._fields, kinds, strict=True):
             expected = "a text" if kind is str else "a number" if kind is Real else "a number; see Parameter"
             check_type(f"{where}: {name}=", getattr(self, name), kind, expected)

@@ -92,7 +92,7 @@ class FeltLaw(Excitation):
                 f"felt law {self.name!r}: the name must be letters, digits and hyphens, a letter first"
             )
         for name in ("force", "storage", "slow", "base"):
-            kinds = Callable if name == "force" else Callable | None
+            kinds = (Callable,) if name == "force" else (Callable, type(None))
             check_type(f"felt law {self.name!r}: {name}=", getattr(self, name), kinds, "a function; see FeltLaw")
         check_type(f"felt law {self.name!r}: parameters=", self.parameters, Mapping, "a Parameter for each name")
         for name, parameter in self.parameters.items():
