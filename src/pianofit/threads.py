@@ -76,6 +76,7 @@ def _one_blas_thread() -> Iterator[None]:
 
     with _limit_lock:
         if not _limited_blocks:
+            _release_openblas()
             _limit = threadpool_limits(limits=1, user_api="blas")
         _limited_blocks += 1
     try:
@@ -84,4 +85,14 @@ def _one_blas_thread() -> Iterator[None]:
         with _limit_lock:
             _limited_blocks -= 1
             if not _limited_blocks:
+                _release_openblas()
                 _limit.restore_original_limits()
+                _release_openblas()
+
+
+def _release_openblas() -> None:
+    """Let this thread change the threads of OpenBLAS: from 3.8 on threadpoolctl ignores all but one thread."""
+    from threadpoolctl import OpenBLASController
+
+    if hasattr(OpenBLASController, "clear_controlling_thread"):
+        OpenBLASController.clear_controlling_thread(force=True)
