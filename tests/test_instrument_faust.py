@@ -20,6 +20,7 @@ from pianofit.errors import ParameterError
 from pianofit.export.faust import tables, write, write_faust
 from pianofit.instrument import Instrument
 from pianofit.model.modal_response import VelocityGain
+from pianofit.playback import PlayOptions, Song, render_song
 from pianofit.playback.pedals import PedalRange
 from pianofit.schema.dampers import Dampers
 
@@ -154,6 +155,16 @@ def test_every_partial_is_damped_as_in_the_engine(player, value):
     sound = player([(LAW, 90, 0.0, 0.5)], 2.0, pedal=[(0.0, value)])[0]
     expected = PedalRange().contact(value) * DAMPERS.rates(LAW, partials())
     assert added_rates(sound, held, 0.52, 0.58) == pytest.approx(expected, rel=0.02, abs=0.05)
+
+
+@pytest.mark.parametrize("held", [0.02, 0.1])
+def test_a_short_note_is_as_long_as_in_a_song(program, player, held):
+    """Stroke and damper are equally late, so the energy of a short note is that of `render_song`."""
+    song = Song({LAW: [(0.0, 90), (held, 0)]}, (), held, 1)
+    played = render_song(piano(), song, RATE, options=PlayOptions(resonance=0.0))
+    gain = 10 ** ((program[1].gain_db - played.gain_db) / 20)
+    found = player([(LAW, 90, 0.0, held)], 1.0)[0]
+    assert 10 * np.log10(np.sum(found**2) / np.sum((gain * played.samples[0]) ** 2)) == pytest.approx(0, abs=0.2)
 
 
 def test_pedals_catch_what_still_rings_and_nothing_clicks(player):
