@@ -59,13 +59,13 @@ def expression_of(pattern: str) -> re.Pattern[str]:
     Raises `SetupError` if the pattern has an unknown field, a field twice, no note, or brackets that do not match.
     """
     parts, fields, depth = [], [], 0
-    tokens = re.findall(r"\{([a-zA-Z_0-9*]+)\}|(.)", pattern)
+    tokens = re.findall(r"\{([a-zA-Z_0-9*]+)\}|(\[\[|\]\]|.)", pattern)
     for (field, other), (following, _) in zip(tokens, [*tokens[1:], ("", "")], strict=True):
         depth += (other == "[") - (other == "]")
         if depth not in (0, 1):
             raise SetupError(f"--pattern {pattern!r}: [ and ] must come in pairs and must not be nested")
         if not field:
-            parts.append({"[": "(?:", "]": ")?"}.get(other) or re.escape(other))
+            parts.append({"[": "(?:", "]": ")?", "[[": r"\[", "]]": r"\]"}.get(other) or re.escape(other))
             continue
         if field not in FIELDS:
             allowed = ", ".join(f"{{{name}}}" for name in FIELDS)
@@ -285,5 +285,5 @@ def _patterns(reading: Reading) -> list[str]:
 
 
 def _literal(text: str) -> str:
-    """Literal text of a pattern. Text with brackets becomes `{*}`, because brackets have a meaning there."""
-    return "{*}" if any(bracket in text for bracket in "[]{}") else text
+    """Literal text of a pattern, with brackets doubled. Text with braces becomes `{*}`."""
+    return "{*}" if "{" in text or "}" in text else text.replace("[", "[[").replace("]", "]]")

@@ -64,7 +64,7 @@ def batch(
         text(
             "PATTERN",
             "Form of the file names in a folder: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
-            "{velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing.",
+            "{velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing, [[ and ]] are brackets.",
             default="guessed from the names",
         ),
     ] = None,
