@@ -37,6 +37,7 @@ LIBRARIES = {
     "capital letter": (names("Piano{n}"), "{instrument}{note}"),
     "layers and takes": (names("{n}_{v}_rr{r}", v="pf", r=(1, 2)), "{note}_{layer}_{take}"),
     "brackets": (names("{n} [{v}]", v=("mp", "ff")), "{note} [[{layer}]]"),
+    "optional brackets": (names("{n}[{v}]", v=("mp", "ff")) + names("{n}", NOTES[:2]), "{note}[[[{layer}]]]"),
     "a layer that may be missing": (names("a-{n}") + names("a-{n}-soft", NOTES[:4]), "{instrument}-{note}[-{layer}]"),
     "a folder of the note": (names("{n}/{n}-{v}", v="pf"), "{note}/{*}-{layer}"),
     "note alone": (["C4"], "{note}"),

@@ -16,7 +16,7 @@ from instrument_cases import true_instrument
 from pianofit.errors import RecordingError
 from pianofit.playback import Song, load_song, render_song
 from pianofit.playback.midi import MOST_NOTES, read_song
-from pianofit.playback.pedals import PedalRange, key_motions
+from pianofit.playback.pedals import PedalRange, key_motions, releases
 
 END = b"\0\xff\x2f\0"
 BEAT = b"\x83\x60"  # 480 ticks
@@ -201,6 +201,7 @@ def pedal(controller: int, value: int = 127, time: int = 0) -> mido.Message:
         ([pedal(66), on(60), on(60, 0, 480), pedal(66, 0, 480)], [(0, 80, 0), (0.5, 0, 1)]),
         ([on(60), on(60, 0, 480), pedal(66), pedal(66, 0, 480)], [(0, 80, 0), (0.5, 0, 1)]),
         ([on(60), pedal(66, 127, 480), on(60, 0), pedal(66, 0, 480)], [(0, 80, 0), (1, 0, 1)]),
+        ([on(60), pedal(123, 0, 480), pedal(66), pedal(66, 0, 480)], [(0, 80, 0), (0.5, 0, 1)]),
     ],
 )
 def test_the_middle_pedal_holds_the_keys_that_are_down_before_it(messages, motions):
@@ -213,6 +214,14 @@ def test_the_left_pedal_softens_the_strokes_after_it():
     song = read_song(midi_bytes(on(60), pedal(67), on(64), on(60, 0, 480), on(64, 0)), "song")
     soft = [key_motions(song, key, PedalRange(), 9.0)[0].soft for key in (60, 64)]
     assert soft == [0.0, 1.0]
+
+
+def test_the_release_velocity_of_a_tick_with_pedals_is_kept():
+    end = mido.Message("note_off", note=60, velocity=99, time=0)
+    song = read_song(midi_bytes(pedal(66, 0), on(60), pedal(66, 127, 480), end, on(60)), "song")
+    ((_, held),) = releases(song, 60)
+    assert held == pytest.approx(0.5)
+    assert [song.release_velocities[60, at] for at, _ in releases(song, 60)] == [99]
 
 
 def test_strokes_of_one_key_at_one_time_are_the_hardest_of_them():

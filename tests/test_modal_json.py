@@ -69,7 +69,7 @@ def test_the_python_player_plays_what_render_plays(file, grand, midi, velocity):
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-@pytest.mark.parametrize(("midi", "velocity"), [(64, 47), (76, 127)])
+@pytest.mark.parametrize(("midi", "velocity"), [(64, 47), (64, 64), (76, 127)])
 def test_the_javascript_player_plays_what_render_plays(file, grand, midi, velocity):
     program = f"""
 import {{ readFileSync }} from "node:fs";

@@ -139,6 +139,7 @@ def test_levels_of_modes_without_weight_have_finite_gradients():
     forward, reverse = jax.jacfwd(levels)(2.0), jax.jit(jax.jacrev(levels))(2.0)
     np.testing.assert_allclose(forward, [10 / np.log(10), 10 / np.log(10), 0.0], rtol=1e-12)
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+    assert np.isnan(model.level_db(np.array([np.nan + 0j]), np.array([2.0]), np)).all()  # is not silence
 
 
 def test_second_derivatives_against_differences_of_the_gradient():

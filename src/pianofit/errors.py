@@ -51,7 +51,8 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
 
 def check_type(name: str, value: Any, kinds: Any, expected: str) -> None:
     """Raise a `ParameterError` if `value` is not of these `kinds`. True and False do not count as numbers."""
-    if not isinstance(value, kinds) or (kinds in (Real, Integral) and isinstance(value, bool)):
+    numbers = {Real, Integral} & {*(kinds if isinstance(kinds, tuple) else (kinds,))}
+    if not isinstance(value, kinds) or (numbers and isinstance(value, bool)):
         raise ParameterError(f"{name}{_short(value)} must be {expected}")
 
 

@@ -15,7 +15,8 @@ MAX_PROCESSES = 256
 # what went wrong.
 MEMORY, TIME_LIMIT = 4.0, 3600.0
 _forked = False  # True in a process that was forked after JAX had started
-# Blocks that limit the BLAS at present. The limit holds for all threads of a process.
+# Blocks that limit the BLAS at present. The limit holds for all threads of a process, except in an OpenBLAS that was
+# built with OpenMP, where it is that of the thread that set it.
 _limit_lock = threading.Lock()
 _limited_blocks = 0
 _limit: Any = None  # of threadpoolctl, with the number of threads of the caller

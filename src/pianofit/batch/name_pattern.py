@@ -59,7 +59,8 @@ def expression_of(pattern: str) -> re.Pattern[str]:
     Raises `SetupError` if the pattern has an unknown field, a field twice, no note, or brackets that do not match.
     """
     parts, fields, depth = [], [], 0
-    tokens = re.findall(r"\{([a-zA-Z_0-9*]+)\}|(\[\[|\]\]|.)", pattern)
+    # The first of three brackets that open begins an optional part. The other two are a bracket of the name.
+    tokens = re.findall(r"\{([a-zA-Z_0-9*]+)\}|(\[\[(?=(?:\[\[)*(?!\[))|\]\]|.)", pattern)
     for (field, other), (following, _) in zip(tokens, [*tokens[1:], ("", "")], strict=True):
         depth += (other == "[") - (other == "]")
         if depth not in (0, 1):

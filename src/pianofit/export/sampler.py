@@ -180,7 +180,7 @@ def _check_target(out: Path, force: bool) -> None:
         raise OutputError(f"{name}: folder {printable(out.parent)} is not writable; choose another --out")
     if not out.exists():
         return
-    if out.is_mount() or Path.cwd().is_relative_to(out):
+    if os.path.ismount(out) or Path.cwd().is_relative_to(out):
         raise OutputError(f"{name}: holds the working folder or is a mount point; choose a new folder in it as --out")
     has_files = out.is_dir() and any(out.iterdir())
     if not out.is_dir() or (has_files and not _is_export(out)):

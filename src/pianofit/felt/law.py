@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from keyword import iskeyword
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -84,6 +84,12 @@ class FeltLaw(Excitation):
     figures: ClassVar[tuple[str, ...]] = ("force", "felt")
     size: ClassVar[str] = "v_H0"
     key_quantities: ClassVar[tuple[str, ...]] = ("M_H/M_S", "F/M_S", "local_exponent", "mu", "skin")
+
+    def __copy__(self) -> Self:
+        return self  # a copy would be another law, whose contact is compiled again
+
+    def __deepcopy__(self, _: dict) -> Self:
+        return self
 
     def __post_init__(self) -> None:
         check_type("felt law: name=", self.name, str, "a text")

@@ -91,7 +91,7 @@ def check_samples(frames: np.ndarray, rate: int) -> None:
     if not np.isfinite(frames).all():
         first = int(np.argmin(np.isfinite(frames).all(axis=1)))
         raise RecordingError(f"has a NaN or infinite sample at {first / rate:.4f} s; export it again")
-    if (peak := np.abs(frames).max(initial=0.0)) > LARGEST_SAMPLE:
+    if (peak := max(frames.max(initial=0.0), -frames.min(initial=0.0))) > LARGEST_SAMPLE:  # without a copy
         raise RecordingError(f"reaches {peak:.3g} times full scale; scale it to within ±1")
 
 

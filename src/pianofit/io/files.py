@@ -7,12 +7,12 @@ import errno
 import functools
 import hashlib
 import io
+import itertools
 import json
 import os
 import re
 import stat
 import sys
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
@@ -37,7 +37,9 @@ PEAK_LIMIT = 10 ** (-1 / 20)
 # Errors for lack of space: full disk, exhausted quota, largest file size.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FOLDERS: set[Path] = set()  # that this process holds
-_WRITTEN: list[set[Path]] = []  # files of each block of `output_folder` that began with an empty folder
+# Files of each block of `output_folder` that began with an empty folder, by the identity of the set.
+_WRITTEN: dict[int, set[Path]] = {}
+_COUNTER = itertools.count()
 
 
 def printable(text: object) -> str:
@@ -123,7 +125,7 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
     target = Path(path)
     temporary = temporary_path(target)
     UNFINISHED.add(temporary)
-    for written in _WRITTEN:
+    for written in [*_WRITTEN.values()]:
         written.add(target)
     try:
         try:
@@ -138,7 +140,7 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
 
 def temporary_path(target: Path) -> Path:
     """Return a path for the unfinished content of a file or folder. Its name fits where that of the target does."""
-    return target.with_name(f".{threading.get_ident()}.{os.getpid()}.tmp")
+    return target.with_name(f".{os.getpid()}-{next(_COUNTER)}.tmp")
 
 
 def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> OutputError:
@@ -185,7 +187,7 @@ def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
             if not os.access(path, os.R_OK | os.W_OK | os.X_OK):
                 raise OutputError(f"{name}: the folder is not writable; choose another --out")
             if next(path.iterdir(), None) is None:
-                _WRITTEN.append(written)
+                _WRITTEN[id(written)] = written
             elif not force:
                 raise OutputError(
                     f"{name}: the folder is not empty; give another, or force=True to replace a result in it"
@@ -198,7 +200,7 @@ def output_folder(path: Path, force: bool, listing: str = "") -> Iterator[Path]:
                     stale.parent.rmdir()
             written.clear()
         finally:
-            _WRITTEN[:] = [other for other in _WRITTEN if other is not written]
+            _WRITTEN.pop(id(written), None)
             cleanup()
 
 

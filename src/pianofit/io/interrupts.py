@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -48,6 +47,7 @@ def _stop(number: int, *_: object) -> None:
     for file in [*UNFINISHED]:
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
-    cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
-    os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
+    with contextlib.suppress(OSError):  # standard error can be closed
+        cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar hides the cursor
+        os.write(2, f"{cursor}pianofit: interrupted; nothing more is written\n".encode())
     os._exit(128 + number)

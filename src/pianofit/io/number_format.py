@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 from decimal import Decimal
+from fractions import Fraction
 from numbers import Real
 from typing import Any
 
@@ -28,7 +29,7 @@ def is_number(value: Any) -> bool:
     """Return True for a finite number, of NumPy too, but not a bool, that can be squared without overflow."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
-    return -LARGEST <= (value if isinstance(value, int) else float(value)) <= LARGEST  # float32 has no 1e300
+    return -LARGEST <= (value if isinstance(value, int | Fraction) else float(value)) <= LARGEST  # float32 has no 1e300
 
 
 def first_of(texts: Sequence[str], separator: str = ", ") -> str:

@@ -157,9 +157,9 @@ def level_db(amplitude: ComplexModesLike, decay: RealModesLike, xp=jnp) -> RealM
     `xp` is the array library: with NumPy nothing is compiled, and the result is an array of NumPy.
     """
     energy = 0.5 * xp.abs(amplitude) ** 2 * level_energy(2 * decay, xp)
-    nonzero = energy > (tiny := np.finfo(float).tiny)
-    # The logarithm of 1 at the other modes: the derivative of log 0, times 0, would be NaN in reverse mode.
-    return xp.where(nonzero, 10 * xp.log10(xp.where(nonzero, energy, 1.0)), 10 * np.log10(tiny))
+    silent = energy <= (tiny := np.finfo(float).tiny)
+    # The logarithm of 1 at silent modes: the derivative of log 0, times 0, would be NaN in reverse mode.
+    return xp.where(silent, 10 * np.log10(tiny), 10 * xp.log10(xp.where(silent, 1.0, energy)))
 
 
 @float64

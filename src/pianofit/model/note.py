@@ -18,7 +18,7 @@ from ..errors import ParameterError, check_range, check_type
 from ..excitation import GEOMETRY_FIELDS
 from ..felt import law_of
 from ..io.containers import RATES
-from ..io.number_format import is_number, summary
+from ..io.number_format import summary
 from ..parameters import Geometry, String, check_velocity
 from ..transducer import TRANSDUCERS
 from ..x64 import float64, is_numeric
@@ -36,6 +36,8 @@ MAX_SAMPLES = 2**25
 # Largest factor of the measured level of a partial by another plucking position. The level of a partial with a node at
 # the measured position is error.
 LARGEST_CHANGE = 10.0
+# Largest transposition, cents: ten octaves.
+LARGEST_CENTS = 12_000.0
 # Weight of a partial at a node.
 TINY = 1e-9
 # Signal rate for which `Note.levels` chooses the contact rate, Hz.
@@ -153,10 +155,9 @@ class Note(NamedTuple):
         Raises
         ------
         ParameterError
-            If `cents` is not a finite number.
+            If `cents` is not a number from -12,000 to 12,000.
         """
-        if not is_number(cents):
-            check_type("cents=", cents, (), "a finite number")
+        check_range("cents=", cents, -LARGEST_CENTS, LARGEST_CENTS)
         ratio = 2 ** (cents / 1200)
         modal_response = None if self.modal_response is None else self.modal_response.scale_pitch(ratio)
         return self._replace(string=self.string._replace(c=self.string.c * ratio), modal_response=modal_response)

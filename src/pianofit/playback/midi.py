@@ -141,15 +141,21 @@ def _song(file: MidiFile, name: str) -> Song:
                 used_keys[channel].add(first)
                 key_events[first][channel].append(_KeyEvent(order, now, velocity))
                 if kind == NOTE_OFF:
-                    release_velocities[first, _time(order, now, places)] = second
+                    release_velocities[first, now] = second
             else:  # sample players use such notes as key switches
                 ignored += velocity > 0
     _check_count(notes, name, file.remarks)
     moved = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
     keys = {key: [(_time(it.order, it.seconds, places), it.velocity) for it in own] for key, own in moved.items()}
+    released = {
+        (key, _time(it.order, it.seconds, places)): release_velocities[key, it.seconds]
+        for key, own in moved.items()
+        for it in own
+        if not it.velocity and (key, it.seconds) in release_velocities
+    }
     pedals = (_pedal(file.events, places, controller) for controller in (SUSTAIN, SOSTENUTO, SOFT))
     pedal, sostenuto, una_corda = pedals
-    return Song(keys, pedal, file.seconds, notes, ignored, file.remarks, sostenuto, una_corda, release_velocities)
+    return Song(keys, pedal, file.seconds, notes, ignored, file.remarks, sostenuto, una_corda, released)
 
 
 def _places(events: Sequence[MidiEvent]) -> list[int]:
@@ -157,8 +163,9 @@ def _places(events: Sequence[MidiEvent]) -> list[int]:
     places: list[int] = []
     for _, group in groupby(events, key=lambda event: event.seconds):
         simultaneous = list(group)
-        pedals = any(event.kind == CONTROL and event.first in (SOSTENUTO, SOFT) for event in simultaneous)
-        keys = any(event.kind in (NOTE_ON, NOTE_OFF) for event in simultaneous)
+        controls = {event.first for event in simultaneous if event.kind == CONTROL}
+        pedals = controls & {SOSTENUTO, SOFT, RESET}
+        keys = controls & {SOUND_OFF, NOTES_OFF} or any(event.kind in (NOTE_ON, NOTE_OFF) for event in simultaneous)
         places += [place if pedals and keys else 0 for place in range(1, len(simultaneous) + 1)]
     return places
 

@@ -136,8 +136,8 @@ def unexplained_warnings(errors: Sequence[tuple[str, float]]) -> list[str]:
     """A warning about recordings whose levels the model does not explain; their names and errors after the fit, dB."""
     unexplained = [f"{name} ({error:.1f} dB)" for name, error in errors if error > UNEXPLAINED_DB]
     return [
-        f"The model does not explain the partial levels of {first_of(unexplained)}. Unrelated spectra differ by "
-        f"{UNEXPLAINED_DB:.1f} dB. Check the sizes and positions of the setup."
+        f"The model does not explain the partial levels of {first_of(unexplained)}. Levels of many "
+        f"overlapping modes scatter by {UNEXPLAINED_DB:.1f} dB. Check the sizes and positions of the setup."
     ] * bool(unexplained)
 
 
