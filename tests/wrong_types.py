@@ -102,6 +102,7 @@ CALLS = {
 # Values of the right type that cannot be used, by the word that the error must have.
 VALUES = {
     "velocity": (lambda x: pf.fit(recording(), velocity=x), (True,)),
+    "cents": (NOTE.with_cents, (1e5, -1e5, float("nan"))),
     "force=": (lambda x: pf.pluck(modes(), x), (True, np.array([1.0, 2.0]), "2")),
     "M_H": (
         lambda x: pf.simulate(F3.string, F3.hammer._replace(M_H=x), F3.geometry),

@@ -43,8 +43,6 @@ ENDS = (2.5, 97.5)  # percentiles
 # E. Kirk, J. Acoust. Soc. Am. 31, 1644, 1959).
 PREFERRED_UNISON = 2.0
 SLOWEST_BEAT = 1 / LATE[1]  # Hz; `decays_and_beats` does not report slower ones
-# Share of the fastest beat that the modes of a partial can have. A faster beat can be that of a mode at its limit.
-WITHIN_REACH = 0.95
 HINT = "give the folder of pianofit batch, fit.json files, or one instrument.json"
 
 
@@ -206,8 +204,8 @@ def _unison(midi: int, response: ModalResponse | None) -> dict[str, Any]:
     if not decays:
         return {}
     beats = {it.number: _beat(it) for it in decays if not math.isnan(it.beat_frequency)}
-    fastest = WITHIN_REACH * fastest_beat(decays[0].frequency / decays[0].number)
-    first = float(np.median([beat.cents.value for beat in beats.values() if beat.rate.value < fastest] or [0.0]))
+    fastest = fastest_beat(decays[0].frequency / decays[0].number)
+    first = float(np.median([beat.cents.value for beat in beats.values()] or [0.0]))
     ratio = math.expm1(max(first, PREFERRED_UNISON) / CENTS)
     counted = [
         it
