@@ -17,8 +17,8 @@ from ..io.audio import Longest, decode_file
 from ..io.files import LONGEST_STEM, encode_pcm, encode_wav, output_folder, printable, replace_file
 from ..io.table_output import write_csv
 
-# Largest recording to cut, bytes, and the longest: two hours of stereo of 24 bits at 48 kHz. Decoding
-# it takes 12 GB, 18 bytes a sample.
+# Largest recording to cut, bytes, and the longest: two hours of stereo of 24 bits at 48 kHz. Its decoding takes 12 GB,
+# 18 bytes a sample.
 LARGEST_LONG_RECORDING = 2**31
 LONGEST_RECORDING = Longest(7200.0, 7200 * 48_000 * 2, "cut it into parts")
 LIST = "strokes.csv"
