@@ -19,8 +19,9 @@ from the first 0.1 s.
 The standard error of each value is that of the noise in the frames, propagated through the least squares to first
 order. The standard deviation of a systematic error is estimated from residuals beyond the noise, and from differences
 between windows beyond the noise. It is zero where neither exceeds the noise. Beats of neighbouring partials are
-similar, so it is estimated from a few neighbours, and their systematic errors are correlated. Those of levels have a
-common part, because vibrations that one stroke begins are in phase.
+similar, so it is estimated from a few neighbours. Systematic errors of frequencies and levels are correlated between
+neighbours, and those of decay rates are not, because a slope depends on the phase of a beat within its window. Errors
+of levels and of decay rates have a common part, because vibrations that one stroke begins are in phase.
 """
 
 from collections.abc import Callable
@@ -47,10 +48,11 @@ _COMPONENTS = 0.15  # share of the difference between one component and several 
 _TOLERANCE = 2.5  # standard errors due to noise by which two windows may differ
 _BEAT_VISIBLE = 0.03  # amplitude of the noise over that of the partial, below which a beat can be measured
 _NEAR = 2  # partials on either side from which a systematic error is estimated
-# Partials over which the correlation of systematic errors falls to 1/e; the value of most evidence on beating strings.
+# Partials over which the correlation of systematic errors of frequencies and levels falls to 1/e; the value of most
+# evidence on beating strings.
 _CORRELATION_LENGTH = 10.0
-# Share of the variance of a level's systematic error that all partials have in common: vibrations that a hammer begins
-# together begin in phase, so that beats lower all levels.
+# Share of the variance of systematic errors of levels and decay rates that all partials have in common: vibrations that
+# a hammer begins together begin in phase, so that beats lower all levels and make all first slopes steeper.
 _COMMON = 0.5
 # Rounding and remaining leakage without any noise: relative errors, and dB.
 _FREQUENCY_FLOOR = 5e-10
@@ -100,7 +102,7 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
         frequency_systematic=_covariance(number, frequency_sd),
         decay=early_slope.rate,
         decay_error=early_slope.noise,
-        decay_systematic=_covariance(number, _early_beat_error(early_slope)),
+        decay_systematic=_covariance(number, _early_beat_error(early_slope), _COMMON, 0.0),
         late_decay=late_slope.rate,
         late_decay_error=np.hypot(late_slope.noise, late_slope.beat_error),
         slope_times=np.stack([early_slope.start, early_slope.stop, late_slope.stop], axis=1),
@@ -116,12 +118,16 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     return table, law
 
 
-def _covariance(number: np.ndarray, sd: np.ndarray, common: float = 0.0) -> np.ndarray:
+def _covariance(
+    number: np.ndarray, sd: np.ndarray, common: float = 0.0, length: float = _CORRELATION_LENGTH
+) -> np.ndarray:
     """Covariance [partials, partials] of systematic errors with standard deviations `sd` [partials].
 
-    `common` is the share of the variance that does not depend on the distance of partials.
+    `common` is the share of the variance that does not depend on the distance of partials. The other part is correlated
+    over `length` partials.
     """
-    near = np.exp(-np.abs(number[:, None] - number[None, :]) / _CORRELATION_LENGTH)
+    distance = np.abs(number[:, None] - number[None, :])
+    near = np.exp(-distance / length) if length else distance == 0
     return sd[:, None] * sd[None, :] * (common + (1 - common) * near)
 
 
