@@ -250,14 +250,14 @@ def cell(panel: tuple[float, float]) -> str:
 
 
 def fill(page: Path, usual: str, name: str, row: tuple[str, str]) -> None:
-    """Write the last two cells of the row of this constant, and the unchanged panel below the table."""
+    """Write the last two cells of the row of this constant, and the unchanged panel above the table."""
     lines, filled = page.read_text(encoding="utf-8").splitlines(), False
     for i, line in enumerate(lines):
         cells = [part.strip() for part in line.strip("|").split("|")]
         if line.startswith("|") and cells[0] == name:
             lines[i], filled = "| " + " | ".join([*cells[:-2], *row]) + " |", True
-        if line.startswith("As it is: "):
-            lines[i] = f"As it is: {usual} (`python benchmarks/constants.py --page docs/fitting.md`)."
+        if line.startswith("Unchanged: "):
+            lines[i] = f"Unchanged: {usual} (`python benchmarks/constants.py --page docs/fitting.md`)."
     if not filled:
         sys.exit(f"{page}: no row for {name}; add one to the table of constants")
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
