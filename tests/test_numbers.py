@@ -45,8 +45,8 @@ def test_the_ends_of_an_interval_differ_from_the_value_and_keep_it_between_them(
     [
         (7.0213, 0.0061, "7.021 N (± 0.61 %)"),
         (7.0213, 0.05, "7.02 N (± 5 %)"),
-        (14.6432, 1.2, "14.6 N (to a factor of 3.3)"),
-        (14.6432, 300.0, "14.6 N (to many powers of ten)"),
+        (14.6432, 1.2, "14.6 N (× or ÷ 3.3)"),
+        (14.6432, 300.0, "14.6 N (× or ÷ many powers of ten)"),
     ],
 )
 def test_half_an_interval_is_per_cent_while_small_then_a_factor(value, half, text):

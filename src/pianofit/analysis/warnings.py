@@ -42,7 +42,7 @@ def analysis_warnings(
         )
     warnings.append(beating_warning(table))
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:
-        warnings.append("the decay rates do not determine how losses rise with frequency (d2 is not measurable)")
+        warnings.append("the decay rates do not determine how losses rise with frequency (b2 is not measurable)")
     return tuple(filter(None, warnings))
 
 
@@ -83,6 +83,6 @@ def beating_warning(table: Partials) -> str:
     if not deep:
         return ""
     return (
-        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEATING_DB:g} dB: several "
-        "strings or polarisations beat, or the note was damped or cut"
+        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEATING_DB:g} dB, because "
+        "several strings or polarisations beat, or because the note was damped or cut"
     )

@@ -1,4 +1,6 @@
-"""Felt laws, one file each. A file added here is available in `setup.toml`, fits, files and pages.
+"""Felt laws, one file each. A law added here is available in `setup.toml`, fits, files and reports.
+
+An instrument accepts only fits whose hammer is a `Hammer` or a `SoftHammer`.
 
 The file of a law holds data and plain arithmetic, so a setup is checked without JAX. `steps`, which the contact
 imports, computes the steps of all laws, and `make_hammer` finds a law by its parameters: a new law needs its file only.

@@ -75,11 +75,11 @@ def log_half_width(interval: Sequence[float] | None) -> float | None:
     return 0.5 * math.log(interval[1] / interval[0])
 
 
-def format_relative_uncertainty(half: float, factor: str = "to a factor of {}") -> str:
-    """Return the half-width of an interval of a logarithm as "± 0.61 %", or if large as "to a factor of 3.3"."""
+def format_relative_uncertainty(half: float, factor: str = "× or ÷ {}") -> str:
+    """Return the half-width of an interval of a logarithm as "± 0.61 %", or if large as "× or ÷ 3.3"."""
     if half < PERCENT_LIMIT:
         return f"± {number(100 * half, 2)} %"
-    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}") if half < FACTOR_LIMIT else "to many powers of ten"
+    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}" if half < FACTOR_LIMIT else "many powers of ten")
 
 
 def with_half_interval(value: float, half: float, unit: str = "") -> str:

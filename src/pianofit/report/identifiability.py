@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
-CONDITIONAL = "Not identifiable, unless the model and its output path are exactly correct"
+CONDITIONAL = "Not identifiable: the uncertainty in parentheses holds only if model and output path are exactly correct"
 UNDETERMINED = "Not determined by the data"
 # Half of a 95 % interval, as a logarithm: up to a factor of 2, a quantity that is reported as not identifiable would
 # be determined if the model were correct.
@@ -76,8 +76,8 @@ def _sentence(fit: Fit, quantity: Quantity, half: float) -> str:
     stiffness = fit.parameters.get("K_H")
     half_of_stiffness = None if stiffness is None else log_half_width(stiffness.interval)
     if half_of_stiffness is not None and half_of_stiffness > 1.2 * half:
-        uncertainty = format_relative_uncertainty(half_of_stiffness)
-        text += f" K_H alone is known {uncertainty}. Its unit depends on p."
+        uncertainty = format_relative_uncertainty(half_of_stiffness, "a factor of {}")
+        text += f" K_H alone is uncertain by {uncertainty}. Its unit depends on p."
     return f"{text} {felt_scale(fit)}".rstrip()
 
 
@@ -109,7 +109,7 @@ def _velocities(fit: Fit) -> list[str]:
         intervals = [(row.stroke_status, row.stroke_interval) for row in fit.recordings if len(fit.recordings) > 1]
     halves = [log_half_width(interval) for status, interval in intervals if status != "not-identifiable"]
     widths = [half for half in halves if half is not None]
-    return [f"{noun} (the least certain {format_relative_uncertainty(max(widths))})."] if widths else []
+    return [f"{noun} (the least certain one: {format_relative_uncertainty(max(widths))})."] if widths else []
 
 
 # --- figures ----------------------------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ def _draw_half_widths(axes: Axes, entries: list[tuple[str, float, bool]]) -> Non
     for row, (value, (_, half, is_invariant)) in enumerate(zip(halves, entries, strict=True)):
         colour, marker = (MEASURED, "o") if is_invariant else (FITTED, "s")
         axes.plot([left, value], [row, row], color=colour, lw=1.6, marker=marker, ms=6.5, markevery=[1])
-        text = "unknown" if half >= WIDEST else format_relative_uncertainty(half, "× or ÷ {}")
+        text = "unknown" if half >= WIDEST else format_relative_uncertainty(half)
         axes.text(1.35 * value, row, text, va="center", fontsize=9, color=INK)
     axes.set(xscale="log", xlim=(left, 14 * max(halves)), ylim=(len(entries) - 0.4, -0.6))
     axes.set_yticks(range(len(entries)), [_symbol(name) for name, *_ in entries])

@@ -9,7 +9,7 @@ from ..io.number_format import number
 from ..model.modal_response import PartialDecay
 from ..result import Result
 from .sound import Clip
-from .text import glide
+from .text import COMPARED, glide
 
 # Number of lowest partials whose ring is stated.
 PARTIALS = 3
@@ -36,7 +36,8 @@ def in_short(result: Result, clips: Sequence[Clip], decays: Sequence[PartialDeca
 def _match(result: Result) -> str:
     fit = result.fit
     levels = (
-        f"The model's levels of the partials are {number(fit.levels.fitted_db, 2)} dB (rms) from the recorded ones."
+        f"The levels of the partials in model and recording differ by {number(fit.levels.fitted_db, 2)} dB (rms; "
+        f"{COMPARED})."
     )
     error = None if fit.modal_response is None else fit.modal_response.prediction_error_db
     if error is None:

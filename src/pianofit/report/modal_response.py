@@ -62,11 +62,11 @@ def modal_response_text(response: FittedModalResponse) -> str:
 def modal_response_line(response: FittedModalResponse) -> str:
     """Return the same as one line for a terminal."""
     model, errors = response.render_model, response.leave_one_out_db
-    line = f"played with {_render_model(response)}"
+    line = f"rendered with {_render_model(response)}"
     if errors is None:
         return f"{line}; one recording through its output path, so not tested on another stroke"
-    others = ", ".join(f"{errors[name]:.1f} with {label}" for name, label in LABELS.items() if name != model)
-    return f"{line}: leave-one-out error {errors[model]:.1f} dB ({others})"
+    others = ", ".join(f"{errors[name]:.1f} dB with {label}" for name, label in LABELS.items() if name != model)
+    return f"{line}; mean error of left-out recordings: {errors[model]:.1f} dB ({others})"
 
 
 def _render_model(fitted: FittedModalResponse) -> str:

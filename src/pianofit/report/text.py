@@ -11,7 +11,7 @@ from ..felt import LAWS
 from ..io.number_format import number, with_interval
 from ..schema.dependencies import derived_status
 from ..schema.derived import Recontact
-from ..schema.fit import Criterion, Fit
+from ..schema.fit import LEVEL_RANGE, LEVEL_TOP, Criterion, Fit
 from ..schema.quantities import T60, Quantity, Status
 
 STATUS = {  # status -> mark, explanation
@@ -40,6 +40,8 @@ SYMBOLS |= {"peak_compression": "peak compression", "felt_loss": "felt loss"}
 # Bands of the criterion of Bensa et al. (2005).
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 VELOCITY_RATIO = "v/v_ref "
+# The partials whose levels are compared (`LEVEL_TOP` and `LEVEL_RANGE`).
+COMPARED = f"partials up to {LEVEL_TOP / 1000:g} kHz, within {LEVEL_RANGE:g} dB of the strongest"
 # Parameters that do not belong to the felt.
 NOT_FELT = {"c", "kappa", "b1", "b2", "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
 NOT_CONVERGED = "The search stopped before it converged. Do not use the numbers on this page as results."
@@ -177,8 +179,8 @@ def summary_tiles(fit: Fit) -> list[tuple[str, str, str]]:
         (
             "Error of the partials’ levels",
             f"{number(levels.fitted_db, 2)} dB",
-            f"{number(levels.initial_db, 2)} dB before the fit; rms over {levels.partials} levels of partials"
-            f"{recordings}",
+            f"{number(levels.initial_db, 2)} dB before the fit; rms over {levels.partials} levels of "
+            f"partials{recordings} ({COMPARED})",
         ),
         (
             "Criterion (spectral error)",
@@ -202,7 +204,7 @@ def _contact_tile(fit: Fit) -> list[tuple[str, str, str]]:
     time, span = with_interval(table["contact_time"].value, table["contact_time"].interval)
     known = table["contact_time"].status != "not-identifiable"
     parts = [f"{span} ms" if known and span else "" if known else f"one possibility is {time} ms"]
-    parts += [f"{words} {_with_status(table[name])}" for name, words in names.items()]
+    parts += [f"{words}: {_with_status(table[name])}" for name, words in names.items()]
     parts.append(recontact_text(fit.derived.recontacts))
     return [("Hammer contact", f"{time} ms" if known else "not identifiable", "; ".join(filter(None, parts)))]
 
@@ -242,12 +244,12 @@ def initial_hammer_text(fit: Fit) -> str:
     states: dict[str, Status] = {quantity.name: quantity.status for quantity in reported}
     conclusion = "The levels of the partials therefore do not support the fitted hammer over the initial one."
     if derived_status("hammer", states) in ("not-identifiable", "at-bound"):
-        conclusion = "The recordings do not identify the hammer, so this does not support the fitted one."
+        conclusion = "The recordings do not determine the hammer, so this is not evidence for the fitted hammer."
     elif initial_hammer > fitted + 0.1:
         conclusion = "The fitted hammer explains more of the levels."
     return (
-        f"With the best velocities, gain and output path, the initial hammer leaves an error of {initial_hammer:.1f} "
-        f"dB in the levels of the partials. The fitted hammer leaves {fitted:.1f} dB. {conclusion}"
+        "If felt and hammer mass keep their initial values and everything else is fitted, the error of the levels of "
+        f"the partials is {initial_hammer:.1f} dB. With the fitted hammer it is {fitted:.1f} dB. {conclusion}"
     )
 
 

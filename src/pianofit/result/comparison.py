@@ -23,15 +23,10 @@ from ..inference import STRING_SIZE, InferenceResult, select_partials
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording.recording import Recording
-from ..schema.fit import BandValue, Criterion, LevelErrors, PartialLevels
+from ..schema.fit import LEVEL_RANGE, LEVEL_TOP, BandValue, Criterion, LevelErrors, PartialLevels
 from .alignment import align_attack, estimate_contact_onset
 from .fitted_recording import FittedRecording, RenderedFit
 from .minima import note_at
-
-# Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
-LEVEL_TOP = 6000.0
-# and within this range of the strongest partial, dB, since other sounds lie below it.
-LEVEL_RANGE = 60.0
 
 
 def worse_bands(criterion: Criterion) -> list[str]:

@@ -188,8 +188,8 @@ def _static_force(fit: InferenceResult, states: Statuses, direction: np.ndarray)
     stiffness, p = u.force_and_exponent_index or (0, 0)
     force = float(np.exp(z[stiffness]))
     size = "assumed" if "mass" in problem.initial_values.assumed else "given"
-    note = f"{u.felt_force_name}, {force:.3g} N with the {size} string mass"
-    note += ", at the reference velocity shown" if problem.velocity_scale_open else ""
+    note = f"F is the {u.felt_force_name}: {force:.3g} N with the {size} string mass"
+    note += " and the reference velocity shown" if problem.velocity_scale_open else ""
     # K_H and p can be wide while the force is not: only their bounds and the felt as a whole count.
     felt: dict[str, Status] = {}
     if u.names[stiffness] in states.unidentifiable:

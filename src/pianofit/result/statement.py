@@ -8,7 +8,7 @@ from ..schema.dependencies import MAX_LOG_SD
 from ..schema.fit import LevelErrors
 from ..transducer import TRANSDUCERS
 from .correlations import StrongCorrelation
-from .statuses import FELT_EXCESS_DB, HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses
+from .statuses import FELT_EXCESS_DB, HAMMER_EXCESS_DB, PIANIST_VELOCITY_RATIO, Statuses, force_direction
 
 KEYBOARD_PRIOR = " The prior of hammer and felt is the prediction from the other keys of the keyboard."
 
@@ -24,18 +24,17 @@ def identifiability_statement(
     if not law.has_contact:
         return _released(fit, states, levels)
     start = problem.initial_values
-    source = "" if start.user_given or start.law.hammers is None else " (the literature's)"
-    searched = "output path" if problem.has_unknown_path else "gain"
+    source = "" if start.user_given or start.law.hammers is None else " (those of the literature)"
     text = (
         f"{_uncalibrated(fit, states.compared)} The rms error of the partial levels is {levels.initial_db:.1f} dB "
-        f"before the fit, {levels.fitted_db:.1f} dB after it. With the initial hammer{source}, at its best "
-        f"velocities and {searched}, it is {levels.initial_hammer_db:.1f} dB.{keyboard}"
+        f"before the fit, {levels.fitted_db:.1f} dB after it. It is {levels.initial_hammer_db:.1f} dB if felt and "
+        f"hammer mass keep their initial values{source} and everything else is fitted.{keyboard}"
     )
     if not states.compared:
         u = problem.parametrisation
         felt = any(u.free[u.index_of(name)] for name in law.parameters)
         prior = "the prior of the output path" if problem.has_unknown_path else "the prior"
-        return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
+        return text + f" The felt parameters shown depend on {prior}. Do not interpret them." * felt
     if states.exceeds_pianist:
         low, ratio, high = states.velocity_range
         return (
@@ -49,13 +48,24 @@ def identifiability_statement(
             "not interpret the felt parameters and the hammer mass."
         )
     if problem.velocity_scale_open:
-        scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))
-        return (
-            f"{text} No hammer velocity was measured. {_listed('Velocities', *scaled)} are therefore determined only "
-            "up to one common factor, and their intervals come from the prior. The ratios listed first, f0 and B do "
-            "not depend on this factor."
-        )
+        return f"{text} {_scale_open(fit)}"
     return text
+
+
+def _scale_open(fit: InferenceResult) -> str:
+    """Sentences on the common scale of velocities that were not measured."""
+    law = fit.problem.parametrisation.law
+    scaled = (name.replace("mu", "μ") for name in law.parameters_with_unit("N m"))
+    text = (
+        "No hammer velocity was measured, so one common scale of the velocities is unknown. "
+        f"{_listed('Velocities', *scaled)} change with this scale, and their intervals come from its prior."
+    )
+    if force_direction(fit) is None:
+        return f"{text} Invariants do not depend on it."
+    return (
+        f"{text} F/M_S changes with it too, and is given at the reference velocity shown. All other invariants do not "
+        "depend on it."
+    )
 
 
 def _uncalibrated(fit: InferenceResult, compared: bool) -> str:

@@ -193,8 +193,9 @@ def _excess_warning(fit: InferenceResult) -> str:
     """The deviations of partials from the model beyond the noise."""
     frequency, decay = (np.hypot(*np.exp(phi[0, :2])) for phi in fit.estimate.minima.candidates.phi[1:])
     return (
-        f"Beyond the noise, partials deviate from the model by {frequency:.2f} cents at partial "
-        f"{priors.REFERENCE_PARTIAL:.0f}, {100 * decay:.0f} % in decay rate and {fit.excess:.2f} dB in level."
+        "Partials deviate from the model by more than the noise explains. The standard deviation is "
+        f"{frequency:.2f} cents in frequency (at partial {priors.REFERENCE_PARTIAL:.0f}), a factor of "
+        f"{np.exp(decay):.2f} in decay rate and {fit.excess:.2f} dB in level."
     )
 
 
@@ -219,9 +220,9 @@ def _mixture_warning(fit: InferenceResult) -> list[str]:
         "posterior": "Predictions average over all minima. Intervals of the parameters come from the posterior draws.",
     }["laplace" if fit.alternative is None else fit.alternative.method]
     return [
-        f"The minimum shown has posterior weight {100 * weight[0]:.0f} %. Another minimum, with "
-        f"{100 * weight[other]:.0f} %, differs most in {name}: {second:.4g}{f' {unit}' * (unit != '1')} instead of "
-        f"{shown:.4g}. {note}"
+        f"The minimum shown has posterior weight {100 * weight[0]:.0f} %, another one {100 * weight[other]:.0f} %. "
+        f"They differ most in {name}: {shown:.4g}{f' {unit}' * (unit != '1')} in the minimum shown, {second:.4g} in "
+        f"the other one. {note}"
     ]
 
 

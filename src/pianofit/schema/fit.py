@@ -41,6 +41,10 @@ MOST_POINTS = 4096
 # Most strokes of a velocity discrepancy: a library has some dozens of layers.
 MOST_STROKES = 256
 HINT = "give the file that pianofit fit wrote"
+# Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
+LEVEL_TOP = 6000.0
+# and within this range of the strongest partial, dB, since other sounds lie below it.
+LEVEL_RANGE = 60.0
 
 Rate = Annotated[int, Meta(ge=RATES[0], le=RATES[1])]
 PickupQuantity = Literal["velocity", "displacement", "bridge-force", "pressure", "magnetic-pickup"]
@@ -128,7 +132,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class LevelErrors:
-    """Rms errors of the levels of the partials, dB, one gain removed."""
+    """Rms errors of the levels of the partials up to `LEVEL_TOP` and within `LEVEL_RANGE`, dB, one gain removed."""
 
     initial_db: Number
     fitted_db: Number
