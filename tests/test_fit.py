@@ -189,7 +189,7 @@ def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, beyond):
     assert velocity_range(fit) == pytest.approx(ratio * np.exp(1.96 * spread * np.array([-1, 0, 1])), rel=1e-3)
 
 
-# --- assumption-free quantities ---------------------------------------------------------------------------------------
+# --- invariants -----------------------------------------------------------------------------------------------------
 
 
 def test_invariants_need_no_measured_velocity():
