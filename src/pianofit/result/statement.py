@@ -63,8 +63,8 @@ def _scale_open(fit: InferenceResult) -> str:
     if force_direction(fit) is None:
         return f"{text} Invariants do not depend on it."
     return (
-        f"{text} F/M_S changes with it too, and is given at the reference velocity shown. All other invariants do not "
-        "depend on it."
+        f"{text} F/M_S changes with it too, and is given at the reference velocity shown. None of the other invariants "
+        "depends on it."
     )
 
 
