@@ -46,9 +46,15 @@ class Note:
         x = x + noise * np.random.default_rng(seed).standard_normal(len(x))
         return replace(recording_from_samples(x, RATE), onset=int(LEAD * RATE))
 
-    @functools.lru_cache(maxsize=4)  # noqa: B019 - a few notes of a few seconds, used with different noise
+    @functools.lru_cache(maxsize=24)  # noqa: B019 - notes of a few seconds, used with different noise
     def _clean(self, seconds: float, bend: float) -> np.ndarray:
-        t = np.arange(int(seconds * RATE)) / RATE
+        count = int(seconds * RATE)
+        x = self._gliding(np.arange(count) / RATE, bend) if bend else damped_cosines(self.amplitude, self.pole, count)
+        rise = RATE * 3 // 1000
+        x[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
+        return np.concatenate([np.zeros(int(LEAD * RATE)), x])
+
+    def _gliding(self, t: np.ndarray, bend: float) -> np.ndarray:
         late = bend * np.log(2) / 1200 * (1 - np.exp(-t))
         x = np.zeros(len(t))
         # Partials move by the share of the tension in their restoring force.
@@ -57,9 +63,7 @@ class Note:
         for k in range(len(self.number)):
             for a, s in zip(self.amplitude[k], self.pole[k], strict=True):
                 x += (a * np.exp(s.real * t + 1j * s.imag * (t + share[k] * late))).real
-        rise = RATE * 3 // 1000
-        x[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
-        return np.concatenate([np.zeros(int(LEAD * RATE)), x])
+        return x
 
     @property
     def frequency(self) -> np.ndarray:
@@ -77,6 +81,14 @@ class Note:
         return energy_level(self.amplitude, self.pole)
 
 
+def damped_cosines(amplitude: np.ndarray, pole: np.ndarray, count: int, block: int = 512) -> np.ndarray:
+    """Sum of Re a exp(s t) at RATE: exp(s t) is the product of its values at a block's start and in the block."""
+    a, s = amplitude.ravel(), pole.ravel() / RATE
+    starts = np.exp(np.arange(0, count, block)[:, None] * s)
+    return ((a * starts) @ np.exp(s[:, None] * np.arange(block))).real.ravel()[:count]
+
+
+@functools.cache
 def string(f0: float, B: float, partials: int, b1: float, d2: float, *, seed: int = 0, missing: int = 0) -> Note:
     """Random phases; levels of partials differ by up to 40 dB and fall by 20 dB towards the highest."""
     rng = np.random.default_rng(seed)

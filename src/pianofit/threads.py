@@ -1,5 +1,6 @@
 """Numbers of processes and threads, and the settings of numerical libraries that computations need."""
 
+import functools
 import os
 import sys
 import threading
@@ -69,16 +70,25 @@ def numerical_settings() -> Iterator[None]:
         yield
 
 
+@functools.cache
+def _libraries() -> Any:
+    """Return the libraries of NumPy and SciPy. A search through all libraries of the process takes milliseconds."""
+    import numpy  # noqa: F401 - loaded before the search
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
 @contextmanager
 def _one_blas_thread() -> Iterator[None]:
     """Limit the BLAS to one thread. Blocks of several threads overlap in any order: the last one ends the limit."""
     global _limited_blocks, _limit
-    from threadpoolctl import threadpool_limits
-
     with _limit_lock:
         if not _limited_blocks:
+            libraries = _libraries()
             _release_openblas()
-            _limit = threadpool_limits(limits=1, user_api="blas")
+            _limit = libraries.limit(limits=1, user_api="blas")
         _limited_blocks += 1
     try:
         yield
