@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import gc
+import hashlib
 import os
+import pickle
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +42,9 @@ FIRST = (
 )  # fmt: skip
 # Files whose tests share the fits of `twin_cases`, which are kept in memory: one worker runs them all.
 SHARED = ("gate", "fit", "fit_recordings", "microphones", "measured", "compare", "derived", "result")
+
+# Results of one function that are kept: the keys of a few instruments, some 10 MB.
+LARGEST_KEPT = 400
 
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 
@@ -121,6 +127,43 @@ def _one_blas_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1, user_api="blas"):
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _commands_are_built_once() -> None:
+    """Typer builds all commands from their functions at every call, which takes longer than most refusals."""
+    import typer.main
+    import typer.testing
+
+    typer.main.get_command = typer.testing._get_command = functools.cache(typer.main.get_command)
+
+
+def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Keep results by the content of the arguments."""
+    results: dict[bytes, Any] = {}
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        try:
+            key = hashlib.sha256(pickle.dumps(arguments)).digest()
+        except (AttributeError, pickle.PicklingError):  # a felt law of a test
+            return function(*arguments)
+        if key not in results:
+            if len(results) >= LARGEST_KEPT:
+                results.clear()
+            results[key] = function(*arguments)
+        return results[key]
+
+    return call
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _keys_are_guessed_once() -> None:
+    """Tests build instruments of the same fits again and again, each time with 80 guessed keys and their levels."""
+    from pianofit.instrument import build, guessed_responses
+
+    build.stroke_level = _kept(build.stroke_level)
+    build.guess_response = guessed_responses.guess_response = _kept(guessed_responses.guess_response)
 
 
 @pytest.fixture

@@ -145,7 +145,7 @@ def _bfgs(inverse: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarr
     valid = product > 1e-10
     rho = 1 / np.where(valid, product, 1.0)
     left = np.eye(step.shape[1]) - rho[:, None, None] * np.einsum("bi,bj->bij", step, change)
-    new = np.einsum("bij,bjk,blk->bil", left, inverse, left) + rho[:, None, None] * np.einsum("bi,bj->bij", step, step)
+    new = left @ inverse @ left.mT + rho[:, None, None] * np.einsum("bi,bj->bij", step, step)
     return np.where(valid[:, None, None], new, inverse)
 
 

@@ -65,8 +65,8 @@ def _direction(objective: Objective, now: Candidates, damping: np.ndarray) -> tu
     lower, upper = u.bounds_at(now.theta)
     active = ((now.theta <= lower) & (gradient > 0)) | ((now.theta >= upper) & (gradient < 0))
     along = u.bound_jacobian(now.theta, active)
-    gradient = np.einsum("bij,bi->bj", along, gradient)
-    curvature = np.einsum("bki,bkl,blj->bij", along, curvature, along)
+    gradient = (along.mT @ gradient[..., None])[..., 0]
+    curvature = along.mT @ curvature @ along
     active |= ((now.theta <= lower) & (gradient > 0)) | ((now.theta >= upper) & (gradient < 0))
     free = objective.free & ~active
     lhs = curvature + (damping[:, None] * np.einsum("bii->bi", curvature))[..., None] * np.eye(u.size)
