@@ -13,7 +13,7 @@ import numpy as np
 import pianofit
 
 RATE = 44_100  # Hz
-SECONDS, LEAD = 3.0, 0.1  # s, of the note and before it
+SECONDS, LEAD = 2.0, 0.1  # s, of the note and before it
 NOISE_DB = 60.0  # below the first second's rms
 STRING = pianofit.String(c=143.0, kappa=0.42, b1=0.9, b2=4e-4)
 LENGTH, WIDTH, PICKUP = 0.65, 0.01, 0.16  # m; the pickup is 16 cm from the bridge

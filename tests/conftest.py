@@ -37,8 +37,9 @@ settings.load_profile("pianofit")
 
 # Files that begin first, the longest first, so that no worker is left with one of them at the end.
 FIRST = (
-    "gate", "api", "docs", "felt_fit", "examples", "batch_fit", "views", "counts", "cli", "felt_outside", "felt_laws",
-    "coverage", "recipes", "reproduce", "felt_own", "analysis",
+    "gate", "plucked_instrument", "docs", "batch_cluster", "examples", "counts", "api", "batch", "instrument_even", "cli",
+    "instrument_commands", "recipes", "analysis", "mend", "reproduce", "felt_fit", "batch_fit", "dataset", "views",
+    "analysis_recordings", "coverage", "felt_outside", "felt_laws", "felt_own",
 )  # fmt: skip
 # Files whose tests share the fits of `twin_cases`, which are kept in memory: one worker runs them all.
 SHARED = ("gate", "fit", "fit_recordings", "microphones", "measured", "compare", "derived", "result")
@@ -154,6 +155,7 @@ def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
             results[key] = function(*arguments)
         return results[key]
 
+    call.cache_clear = results.clear  # pyright: ignore[reportFunctionMemberAccess]
     return call
 
 

@@ -304,7 +304,9 @@ def test_chains_meet_unless_they_are_not_to():
 def test_rastrigins_deepest_minimum_is_found_among_ten_thousands(chains, runs):
     """There are 11^4 minima. At a success rate of 95 %, one failure of six has a probability of 1/4, two of 1/30."""
     moved = np.array([0.4, -1.1, 0.8, 1.3])
-    ends = [anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(runs)]
+    ends = [
+        anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(runs)
+    ]
     found = [end.cost < 0.01 and np.abs(end.z - moved).max() < 0.01 for end in ends]
     assert sum(found) >= runs - 1
 

@@ -46,7 +46,7 @@ def test_plucks_are_fitted_and_their_places_found_again(monkeypatch, capsys, tmp
     assert error < 0.5
     assert position == pytest.approx(0.18, rel=0.005)
     samples, rate = soundfile.read("pluck-1.wav")
-    assert len(samples) == pytest.approx(3.1 * rate, abs=1)
+    assert len(samples) == pytest.approx(2.1 * rate, abs=1)
     assert Path("pluck/report.html").exists()
 
 

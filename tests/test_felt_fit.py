@@ -42,6 +42,14 @@ def fitted(felt: str, law: str) -> Fit:
     return fit(recording, analyses=[analysis], setup=replace(given, initial=initial, felt=law)).fit
 
 
+@functools.cache
+def roughly(law: str) -> Fit:
+    """The stroke of the felt without a memory by any law: a few steps from the true values."""
+    recording, analysis, given, true = stroke("power")
+    start = {name: true[name] for name in ("K_H", "p", "M_H")}
+    return fit(recording, analyses=[analysis], setup=replace(given, initial={}, felt=law), start=start, budget=3).fit
+
+
 def test_a_felt_with_memory_is_found():
     found, true = fitted("memory", "stulov"), stroke("memory")[3]
     assert found.felt == "stulov"
@@ -66,7 +74,7 @@ def test_the_right_law_fits_better_than_another():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
-    found = fitted("power", law)
+    found = roughly(law)
     table = found.parameters
     assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(LAWS[law].parameters)
     if "mu" not in LAWS[law].parameters:
@@ -80,7 +88,7 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
 
 
 def test_half_a_memory_is_no_felt(tmp_path):
-    document = builtins_of(fitted("power", "stulov"))
+    document = builtins_of(roughly("stulov"))
     del document["parameters"]["tau"]
     (tmp_path / "fit.json").write_text(json.dumps(document))
     with pytest.raises(FitError, match="tau is missing"):

@@ -89,6 +89,7 @@ def test_every_recording_is_shown_with_its_own():
     assert {found.parameters[n].status for n in ("K_H", "mu", "p", "M_H")} == {"fitted"}
 
 
+@pytest.mark.slow  # test_equivariance.py has the order of two files
 def test_the_order_of_files_changes_nothing():
     recordings, analyses = through(SEVERAL)
     first = path_fit(SEVERAL).fit

@@ -38,6 +38,8 @@ STRING = {"c": 3e-7, "kappa": 6e-6, "b1": 3e-3, "b2": 0.04}
 PATH = STRING | {"K_H": 0.08, "mu": 8e-3, "p": 4e-3, "M_H": 4e-4}
 CASES = {"calibrated": CALIBRATED, "alone": STRING, "several": PATH, "microphones": PATH}
 STROKES = {"alone": ALONE, "several": SEVERAL, "microphones": MICROPHONES}
+# The strokes of "several" by the model are among those of "microphones".
+FITS = [(case, by) for case in CASES for by in ("brute-force", "model") if (case, by) != ("several", "model")]
 VELOCITY = 0.004
 # Standard errors.
 FAR = 4.0
@@ -48,8 +50,7 @@ def fit(case: str, by: str) -> Result:
     return calibrated(by) if case == "calibrated" else path_fit(STROKES[case], by)
 
 
-@pytest.mark.parametrize("by", ["brute-force", "model"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(("case", "by"), FITS)
 def test_the_truth_is_found_and_intervals_reach_it(case, by):
     document = fit(case, by).fit
     true = TRUE if case == "calibrated" else TRUE | {"v_H0": VELOCITIES[2]}
@@ -61,8 +62,7 @@ def test_the_truth_is_found_and_intervals_reach_it(case, by):
     assert document.converged
 
 
-@pytest.mark.parametrize("by", ["brute-force", "model"])
-@pytest.mark.parametrize("case", ["several", "microphones"])
+@pytest.mark.parametrize(("case", "by"), [(case, by) for case, by in FITS if case in ("several", "microphones")])
 def test_velocities_that_were_not_measured_are_found(case, by):
     for row, (stroke, _) in zip(fit(case, by).fit.recordings, STROKES[case], strict=True):
         error = np.log(row.stroke_value / VELOCITIES[stroke])

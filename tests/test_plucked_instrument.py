@@ -175,7 +175,7 @@ def fits(tmp_path_factory) -> Path:
     for midi in RECORDED:
         sounds = []
         for i, size in enumerate(SIZES):
-            sound = np.pad(true_note(midi).with_size(size).render(seconds=2.0, rate=SOUND_RATE), (4000, 0))
+            sound = np.pad(true_note(midi).with_size(size).render(seconds=1.6, rate=SOUND_RATE), (4000, 0))
             noise = np.random.default_rng([midi, i]).normal(0, 1e-4 * np.abs(sound).max(), len(sound))
             sounds.append(pianofit.recording_from_samples(sound + noise, SOUND_RATE, name=f"{midi}-{i}"))
         result = pianofit.fit(
