@@ -37,9 +37,9 @@ settings.load_profile("pianofit")
 
 # Files that begin first, the longest first, so that no worker is left with one of them at the end.
 FIRST = (
-    "gate", "plucked_instrument", "docs", "batch_cluster", "examples", "counts", "api", "batch", "instrument_even", "cli",
-    "instrument_commands", "recipes", "analysis", "mend", "reproduce", "felt_fit", "batch_fit", "dataset", "views",
-    "analysis_recordings", "coverage", "felt_outside", "felt_laws", "felt_own",
+    "gate", "plucked_instrument", "docs", "batch_cluster", "examples", "counts", "api", "batch", "instrument_even",
+    "cli", "instrument_commands", "recipes", "analysis", "mend", "reproduce", "felt_fit", "batch_fit", "dataset",
+    "views", "analysis_recordings", "coverage", "felt_outside", "felt_laws", "felt_own",
 )  # fmt: skip
 # Files whose tests share the fits of `twin_cases`, which are kept in memory: one worker runs them all.
 SHARED = ("gate", "fit", "fit_recordings", "microphones", "measured", "compare", "derived", "result")

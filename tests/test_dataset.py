@@ -95,10 +95,10 @@ def test_processes_interruptions_and_extensions_do_not_change_a_data_set(tmp_pat
 @pytest.mark.parametrize("form", ["flac", "wav", "npz"])
 def test_labels_match_the_sounds(form, tmp_path):
     options = NoteOptions(seconds=0.3, layers=2, path=True)
-    write_dataset(tmp_path, 12, seed=3, options=options, format=form, progress=False)
+    write_dataset(tmp_path, 6, seed=3, options=options, format=form, progress=False)
     step = {"flac": 2.0**-23, "wav": 2.0**-24, "npz": 2.0**-24}[form]
     table = rows(tmp_path)
-    assert len(table) == 24
+    assert len(table) == 12
     for i, row in enumerate(table):
         if form == "npz":
             stored = np.load(tmp_path / row["file"])

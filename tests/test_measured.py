@@ -27,6 +27,7 @@ from pianofit.setup import Measured, RecordingInfo, Setup
 from pianofit.synthetic import setup_text
 
 LENGTH, MASS = FIRST.geometry.length, FIRST.geometry.mass
+TWO = (SEVERAL[0], SEVERAL[2])
 
 
 @functools.cache
@@ -46,9 +47,9 @@ def calibrated(**more) -> InferenceResult:
 
 @functools.cache
 def microphones(length: float, mass: float) -> InferenceResult:
-    """Three strokes through one output path; the strike position is fitted."""
-    setup = replace(strokes_of(SEVERAL), length=length, mass=mass, strike_position=None, strike_width=None)
-    return run_inference(*through(SEVERAL, "model"), setup)
+    """Two strokes through one output path; the strike position is fitted."""
+    setup = replace(strokes_of(TWO), length=length, mass=mass, strike_position=None, strike_width=None)
+    return run_inference(*through(TWO, "model"), setup)
 
 
 def sds(inference: InferenceResult) -> dict[str, float]:

@@ -173,14 +173,19 @@ def through_a_room(recording: Recording, name: str, seed: int = ROOMS["close"], 
 
 
 @functools.cache
+def _one_through(stroke: int, microphone: str, by: str) -> tuple[Recording, Analysis]:
+    truth = FIRST._replace(hammer=FIRST.hammer._replace(v_H0=VELOCITIES[stroke]))
+    sounded = record if by == "brute-force" else record_model
+    sound = sounded(truth, quantity="bridge-force", seed=10 * stroke + ROOMS[microphone])
+    made = through_a_room(sound, f"{stroke}-{microphone}.wav", ROOMS[microphone])
+    return made, analyse(made, f0=FIRST.f0)
+
+
+@functools.cache
 def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tuple[list[Recording], list[Analysis]]:
     """Strokes of `FIRST` at microphones, normalised to the same peak, and their analyses."""
-    sounded, made = record if by == "brute-force" else record_model, []
-    for stroke, microphone in strokes:
-        truth = FIRST._replace(hammer=FIRST.hammer._replace(v_H0=VELOCITIES[stroke]))
-        sound = sounded(truth, quantity="bridge-force", seed=10 * stroke + ROOMS[microphone])
-        made.append(through_a_room(sound, f"{stroke}-{microphone}.wav", ROOMS[microphone]))
-    return made, [analyse(r, f0=FIRST.f0) for r in made]
+    made = [_one_through(*stroke, by) for stroke in strokes]
+    return [recording for recording, _ in made], [analysis for _, analysis in made]
 
 
 def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measured: bool = True) -> Setup:
