@@ -132,7 +132,10 @@ def _one_blas_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _commands_are_built_once() -> None:
-    """Typer builds all commands from their functions at every call, which takes longer than most refusals."""
+    """Typer builds all commands from their functions at every call, which takes longer than most refusals.
+
+    A test that imports `get_command` at its top still builds its own: a command keeps the names of its help option.
+    """
     import typer.main
     import typer.testing
 

@@ -17,7 +17,7 @@ from pianofit.inference import pipeline
 from pianofit.inference.objective import Objective
 
 # Data sets, and the probability that a right posterior fails, shared by two tests of each parameter.
-CASES, FALSE_ALARM = 28, 1e-4
+CASES, FALSE_ALARM = 40, 1e-4
 # With widths of the priors times these, Laplace's approximation is nearly exact.
 HYPER, HAMMER = 0.05, 0.25
 

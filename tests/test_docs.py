@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.main import get_command
 
 import pianofit
 from pianofit.felt import ALL_PARAMETERS, LAWS
@@ -82,8 +83,6 @@ def test_the_python_of_a_page_runs(page, tmp_path, monkeypatch):
 @by_page([page for page in PAGES if commands(page)])
 def test_the_commands_of_a_page_parse(page):
     """Options, values and arguments are read as for a real run, and nothing is run."""
-    from typer.main import get_command
-
     known = get_command(importlib.import_module("pianofit.cli").app).commands
     study = get_command(importlib.import_module("studies.bensa2005.__main__").app)
     for words in commands(page):
