@@ -193,7 +193,7 @@ def _excess_warning(fit: InferenceResult) -> str:
     """The deviations of partials from the model beyond the noise."""
     frequency, decay = (np.hypot(*np.exp(phi[0, :2])) for phi in fit.estimate.minima.candidates.phi[1:])
     return (
-        "Partials deviate from the model by more than the noise explains. The standard deviation is "
+        "Partials deviate from the model by more than the noise. The standard deviation is "
         f"{frequency:.2f} cents in frequency (at partial {priors.REFERENCE_PARTIAL:.0f}), a factor of "
         f"{np.exp(decay):.2f} in decay rate and {fit.excess:.2f} dB in level."
     )
