@@ -20,7 +20,7 @@ import numpy as np
 from pianofit import Setup, analyse, cross_validate, fit, load_recording
 from pianofit.conversions import HALF_WIDTH_95
 from pianofit.program_folder import enable_program_cache
-from pianofit.result.comparison import LEVEL_RANGE
+from pianofit.schema.fit import LEVEL_RANGE
 
 QUANTITIES = {"microphone": "pressure", "pickup": "magnetic-pickup"}
 NAMES = ("c", "kappa", "b1", "b2", "x0/L", "width/L")

@@ -298,6 +298,24 @@ def test_beats_of_one_stroke_change_all_levels_alike(name, cents, share):
     assert ours > others + 5
 
 
+def test_unrelated_beats_do_not_bend_the_law_of_the_decay_rates():
+    """Errors that neighbours shared would: a law by least squares would then follow their pattern over the partials."""
+    off = []
+    for seed in range(4):
+        one = string(65.4, 1e-4, 45, 0.5, 1e-3, seed=seed)
+        rng = np.random.default_rng(seed)
+        share = rng.uniform(0.3, 0.7, 45) * np.exp(2j * np.pi * rng.random(45))
+        apart = one.pole + 2j * np.pi * rng.uniform(0.2, 1.5, 45)[:, None]
+        both = Note(one.number, one.amplitude * np.stack([np.ones(45), share], 1), np.hstack([one.pole, apart]))
+        table = analyse(both.recording(noise=1e-6), note="C2").partials
+        law = np.stack([np.ones(len(table)), table.number**2.0], 1)
+        # Relative deviations of a string from its law, as in F.
+        own = table.decay_error**2 + (0.1 * (law @ [0.5, 1e-3])) ** 2
+        inverse = np.linalg.inv(table.decay_systematic + np.diag(own))
+        off.append(np.linalg.solve(law.T @ inverse @ law, law.T @ inverse @ table.decay) / [0.5, 1e-3] - 1)
+    assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 0.5
+
+
 def test_a_beat_does_the_same_to_loud_and_soft_recordings():
     both = _two_axes(string(220.0, 2e-4, 20, 1.0, 0.02, seed=5), 2.0, 0.3)
     loud, soft = (analyse(both.recording(noise=noise), note="A3") for noise in (1e-6, 3e-5))

@@ -95,20 +95,21 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     frequency, frequency_error, frequency_sd = _frequencies(fits, bands.centre, clean & ~(glides & lasts))
     early_slope, late_slope = (_of_clean(slopes, full, clean, beat_visible) for slopes in measure_decay_rates(fitted))
     level, level_error, level_sd, lag = _levels(fits, fitted, law(number))
+    near = np.exp(-np.abs(number[:, None] - number) / _CORRELATION_LENGTH)
     table = Partials(
         number=number,
         frequency=frequency,
         frequency_error=frequency_error,
-        frequency_systematic=_covariance(number, frequency_sd),
+        frequency_systematic=_covariance(frequency_sd, near),
         decay=early_slope.rate,
         decay_error=early_slope.noise,
-        decay_systematic=_covariance(number, _early_beat_error(early_slope), _COMMON, 0.0),
+        decay_systematic=_covariance(_early_beat_error(early_slope), np.eye(len(number)), _COMMON),
         late_decay=late_slope.rate,
         late_decay_error=np.hypot(late_slope.noise, late_slope.beat_error),
         slope_times=np.stack([early_slope.start, early_slope.stop, late_slope.stop], axis=1),
         level=level,
         level_error=level_error,
-        level_systematic=_covariance(number, level_sd, _COMMON) + _decay_law_covariance(number, lag, law),
+        level_systematic=_covariance(level_sd, near, _COMMON) + _decay_law_covariance(number, lag, law),
         level_decay_sensitivity_s=lag,
         snr=snr,
         beating=beating,
@@ -118,17 +119,12 @@ def measure_partials(number: np.ndarray, fitted: FittedBands, glides: bool) -> t
     return table, law
 
 
-def _covariance(
-    number: np.ndarray, sd: np.ndarray, common: float = 0.0, length: float = _CORRELATION_LENGTH
-) -> np.ndarray:
+def _covariance(sd: np.ndarray, correlation: np.ndarray, common: float = 0.0) -> np.ndarray:
     """Covariance [partials, partials] of systematic errors with standard deviations `sd` [partials].
 
-    `common` is the share of the variance that does not depend on the distance of partials. The other part is correlated
-    over `length` partials.
+    `common` is the share of the variance that all partials have in common. The rest has this `correlation`.
     """
-    distance = np.abs(number[:, None] - number[None, :])
-    near = np.exp(-distance / length) if length else distance == 0
-    return sd[:, None] * sd[None, :] * (common + (1 - common) * near)
+    return np.outer(sd, sd) * (common + (1 - common) * correlation)
 
 
 def _decay_law_covariance(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:

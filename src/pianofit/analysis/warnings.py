@@ -42,7 +42,7 @@ def analysis_warnings(
         )
     warnings.append(beating_warning(table))
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:
-        warnings.append("the decay rates do not determine how losses rise with frequency (b2 is not measurable)")
+        warnings.append("the decay rates do not determine how losses rise with frequency")
     return tuple(filter(None, warnings))
 
 
