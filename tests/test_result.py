@@ -366,3 +366,11 @@ def test_fitted_sounds_have_names_that_file_systems_accept():
     names = stroke_names(["ü" * 125 + "soft", "ü" * 125 + "loud", "\udcff"])
     assert len({*names}) == 3
     assert max(len(name.encode()) for name in names) <= 255
+
+
+def test_levels_are_compared_up_to_6_khz_and_within_60_db():
+    """The range that pages and docs/files.md state."""
+    from pianofit.result.comparison import audible_partials
+
+    frequency, level = np.array([100.0, 200.0, 300.0, 5999.0, 6001.0]), np.array([0.0, -59.9, -60.1, -30.0, 0.0])
+    assert audible_partials(frequency, level).tolist() == [True, True, False, True, False]
